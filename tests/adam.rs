@@ -2,15 +2,10 @@
 
 mod common;
 
-use splat4d::check;
-use splat4d::gpu::{Device, Request};
 use splat4d::ops::adam::{Adam, AdamArgs};
 use splat4d::types::AdamSettings;
 
-#[test]
-fn cases() {
-    common::run("adam");
-}
+common::cases! { "adam", folded to 40: steps, visible, gate, hard }
 
 /// Whatever the row lengths, the kernel has only the variants that it lists.
 #[test]
@@ -44,15 +39,4 @@ fn rows_of_every_length_share_a_few_pipelines() {
     // Pipelines: without visibility, one row, six specialised lengths, and other lengths, short or long.
     assert_eq!(device.pipelines(), 10);
     common::assert_valid(&device);
-}
-
-#[test]
-fn folded_grids() {
-    let mut limits = *common::device().limits();
-    limits.groups = 40;
-    let device = Device::open(&Request { limits: Some(limits), ..Request::software() }).unwrap();
-    for case in check::adam::CASES {
-        let outcome = check::run(case, &device, 2);
-        assert!(outcome.passed(), "{outcome:#?}");
-    }
 }

@@ -2,22 +2,4 @@
 
 mod common;
 
-use splat4d::check;
-use splat4d::gpu::{Device, Request};
-
-#[test]
-fn cases() {
-    common::run("arap");
-}
-
-/// Grids that exceed a limit of 40 workgroups along an axis.
-#[test]
-fn folded_grids() {
-    let mut limits = *common::device().limits();
-    limits.groups = 40;
-    let device = Device::open(&Request { limits: Some(limits), ..Request::software() }).unwrap();
-    for case in check::arap::CASES {
-        let outcome = check::run(case, &device, 2);
-        assert!(outcome.passed(), "{outcome:#?}");
-    }
-}
+common::cases! { "arap", folded to 40: random, central_differences, rigid, degenerate, scales }

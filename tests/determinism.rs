@@ -2,7 +2,4 @@
 
 mod common;
 
-#[test]
-fn cases() {
-    common::run("determinism");
-}
+common::cases! { "determinism": static_training, dynamic_training, path_training }

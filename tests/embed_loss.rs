@@ -264,7 +264,7 @@ fn gradients_reach(start: &MotionStart) {
             opacity_logits: &cloud.opacity_logits,
             motion_logits: &[],
             evidence: &[],
-            dynamic_ids: &dynamic,
+            gaussian_from_dynamic: &dynamic,
             neighbours: &near,
             k: 3,
             nodes: &nodes,

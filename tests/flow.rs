@@ -11,10 +11,7 @@ use std::path::PathBuf;
 /// The true flow at a pixel.
 type Truth<'a> = Box<dyn Fn(f64, f64) -> [f64; 2] + 'a>;
 
-#[test]
-fn cases() {
-    common::run("flow");
-}
+common::cases! { "flow": pyramid, start, patches, refine, consistency }
 
 /// A texture with detail at many scales, in [0, 1], defined at every point.
 fn texture(x: f64, y: f64) -> f64 {

@@ -2,7 +2,4 @@
 
 mod common;
 
-#[test]
-fn cases() {
-    common::run("fuzz");
-}
+common::cases! { "fuzz": random, regressions }

@@ -1,5 +1,8 @@
-//! Geometry on real data and on whole synthetic sequences.
+//! Geometry: the check cases, real data, and whole synthetic sequences.
 
+mod common;
+
+use common::shared_data as data;
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -12,9 +15,10 @@ use splat4d::geometry::se3::{Twist, angle_between, exp_so3, retract};
 use splat4d::geometry::two_view::{TwoViewOptions, two_view};
 use splat4d::types::{Intrinsics, Pose};
 
-#[path = "support/data.rs"]
-mod support_data;
-use support_data::shared_data as data;
+common::cases! { "geometry":
+    pnp_coplanar, pnp_few_points, pnp_outliers, bundle_pure_rotation, bundle_no_parallax,
+    bundle_points_at_infinity, alignment_of_a_line,
+}
 
 fn numbers(text: &str) -> Vec<f64> {
     text.split_whitespace().map(|w| w.parse().unwrap()).collect()

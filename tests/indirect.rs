@@ -2,7 +2,4 @@
 
 mod common;
 
-#[test]
-fn cases() {
-    common::run("indirect");
-}
+common::cases! { "indirect": arguments }

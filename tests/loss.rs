@@ -6,15 +6,9 @@ use splat4d::ops::loss::{KnownDisparity, Loss, LossSettings, Reference};
 use splat4d::ops::render::Render;
 use splat4d::types::{Image, RenderSettings};
 
-#[test]
-fn cases() {
-    common::run("loss");
-}
-
-/// Up to 400 workgroups, with a limit of 40 along an axis.
-#[test]
-fn folded_grids() {
-    common::run_folded("loss", 40);
+// Up to 400 workgroups, with a limit of 40 along an axis.
+common::cases! { "loss", folded to 40:
+    sizes, shares, weights, central_differences, flat_images, disparity,
 }
 
 #[test]

@@ -2,12 +2,4 @@
 
 mod common;
 
-#[test]
-fn cases() {
-    common::run("mask");
-}
-
-#[test]
-fn folded_grids() {
-    common::run_folded("mask", 20);
-}
+common::cases! { "mask", folded to 20: paint, compare, vote, blend }

@@ -2,22 +2,6 @@
 
 mod common;
 
-use splat4d::check;
-use splat4d::gpu::{Device, Request};
-
-#[test]
-fn cases() {
-    common::run("mlp");
-}
-
-/// Grids that exceed a limit of 40 workgroups along an axis.
-#[test]
-fn folded_grids() {
-    let mut limits = *common::device().limits();
-    limits.groups = 40;
-    let device = Device::open(&Request { limits: Some(limits), ..Request::software() }).unwrap();
-    for case in check::mlp::CASES {
-        let outcome = check::run(case, &device, 2);
-        assert!(outcome.passed(), "{outcome:#?}");
-    }
+common::cases! { "mlp", folded to 40:
+    narrow, paper, central_differences, shapes, accumulate, encoding,
 }

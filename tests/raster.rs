@@ -2,14 +2,9 @@
 
 mod common;
 
-#[test]
-fn cases() {
-    common::run("raster");
-}
-
-/// 257 tiles, with a limit of 40 workgroups along an axis: the equivalent of 65,536 tiles on a real
-/// device.
-#[test]
-fn folded_grids() {
-    common::run_folded("raster", 40);
+// 257 tiles, with a limit of 40 workgroups along an axis: the equivalent of 65,536 tiles on a real
+// device.
+common::cases! { "raster", folded to 40:
+    scenes, image_sizes, shared_memory, layers, blending_constants, decisions, overflow,
+    determinism,
 }

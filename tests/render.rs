@@ -128,9 +128,10 @@ fn what_does_not_fit_is_named() {
     );
 }
 
-#[test]
-fn cases() {
-    common::run("render");
+common::cases! { "render":
+    scene, central_differences, near_behind_and_at_the_camera, needles, covering_and_sub_pixel,
+    scales, opacities, opacity_slopes, quaternions, non_finite, non_finite_cameras,
+    layers_of_equal_depth, fields_of_view, far_from_the_origin, no_splats, many_tiles,
 }
 
 /// A frame rendered stage by stage has the same bits as a whole render; lists are in depth order; and
@@ -191,7 +192,8 @@ fn stages_on_their_own_are_a_frame() {
         stream.download(&to).unwrap()
     };
     let lists = scratch.tile_lists();
-    let (splats, intersections) = (read(lists.splats), read(lists.intersections));
+    let splat_from_emitted = read(lists.splat_from_emitted);
+    let emitted_from_sorted = read(lists.emitted_from_sorted);
     let counts = read(scratch.splats().tile_counts);
     let mut ranges = device.buffer("ranges", lists.ranges.len()).unwrap();
     let mut means = device.buffer("means", n).unwrap();
@@ -203,8 +205,9 @@ fn stages_on_their_own_are_a_frame() {
     assert_eq!(ranges.len(), 5 * 4);
     let mut seen = vec![0u32; n];
     for [from, to] in ranges {
-        let on_tile = &intersections[from as usize..to as usize];
-        let on_tile: Vec<usize> = on_tile.iter().map(|&at| splats[at as usize] as usize).collect();
+        let on_tile = &emitted_from_sorted[from as usize..to as usize];
+        let on_tile: Vec<usize> =
+            on_tile.iter().map(|&at| splat_from_emitted[at as usize] as usize).collect();
         assert!(on_tile.is_sorted_by(|&a, &b| means[a][2] <= means[b][2]), "front to back");
         on_tile.iter().for_each(|&splat| seen[splat] += 1);
     }

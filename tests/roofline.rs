@@ -2,7 +2,4 @@
 
 mod common;
 
-#[test]
-fn cases() {
-    common::run("roofline");
-}
+common::cases! { "roofline": copy, fma }

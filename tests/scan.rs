@@ -2,26 +2,11 @@
 
 mod common;
 
-use splat4d::check;
 use splat4d::gpu::{Buffer, Device, Profile, Request};
 use splat4d::ops::scan::{Scan, ScanArgs};
 
-#[test]
-fn cases() {
-    common::run("scan");
-}
-
-/// Grids of 80 blocks, with a limit of 9 workgroups along an axis.
-#[test]
-fn folded_grids() {
-    let mut limits = *common::device().limits();
-    limits.groups = 9;
-    let device = Device::open(&Request { limits: Some(limits), ..Request::software() }).unwrap();
-    for case in check::scan::CASES {
-        let outcome = check::run(case, &device, 2);
-        assert!(outcome.passed(), "{outcome:#?}");
-    }
-}
+// Grids of 80 blocks, with a limit of 9 workgroups along an axis.
+common::cases! { "scan", folded to 9: sizes, wraps, count_below_capacity }
 
 fn args<'a>(
     count: &'a Buffer<u32>,

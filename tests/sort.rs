@@ -2,25 +2,11 @@
 
 mod common;
 
-use splat4d::check;
-use splat4d::gpu::{Device, Request};
 use splat4d::ops::sort::RadixSort;
 
-#[test]
-fn cases() {
-    common::run("sort");
-}
-
-/// 16 workgroups for the values and 32 blocks of the table, with a limit of 6 workgroups along an axis.
-#[test]
-fn folded_grids() {
-    let mut limits = *common::device().limits();
-    limits.groups = 6;
-    let device = Device::open(&Request { limits: Some(limits), ..Request::software() }).unwrap();
-    for case in check::sort::CASES {
-        let outcome = check::run(case, &device, 2);
-        assert!(outcome.passed(), "{outcome:#?}");
-    }
+// 16 workgroups for the values and 32 blocks of the table, with a limit of 6 workgroups along an axis.
+common::cases! { "sort", folded to 6:
+    sizes, powers_of_two, bit_ranges, orders, count_below_capacity,
 }
 
 #[test]

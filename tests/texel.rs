@@ -2,12 +2,4 @@
 
 mod common;
 
-#[test]
-fn cases() {
-    common::run("texel");
-}
-
-#[test]
-fn folded_grids() {
-    common::run_folded("texel", 4);
-}
+common::cases! { "texel", folded to 4: unorm8, half }

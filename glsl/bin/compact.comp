@@ -9,7 +9,7 @@ layout(std430, binding = 0) readonly buffer Visible { uint visible[]; };
 layout(std430, binding = 1) readonly buffer Offsets { uint offsets[]; };
 layout(std430, binding = 2) readonly buffer Means { vec4 means[]; };
 layout(std430, binding = 3) writeonly buffer Keys { uint keys[]; };
-layout(std430, binding = 4) writeonly buffer Splats { uint splats[]; };
+layout(std430, binding = 4) writeonly buffer SplatFromVisible { uint splat_from_visible[]; };
 
 layout(push_constant) uniform Params { uint count; };
 
@@ -19,6 +19,6 @@ void main() {
     uint i = group_index() * 64u + gl_LocalInvocationIndex;
     if (i < count && visible[i] != 0u) {
         keys[offsets[i]] = floatBitsToUint(means[i].z);
-        splats[offsets[i]] = i;
+        splat_from_visible[offsets[i]] = i;
     }
 }

@@ -5,7 +5,7 @@
 layout(local_size_x = 64) in;
 
 layout(std430, binding = 0) readonly buffer VisibleCount { uint visible_count[]; };
-layout(std430, binding = 1) readonly buffer Order { uint order[]; };
+layout(std430, binding = 1) readonly buffer SplatFromRank { uint splat_from_rank[]; };
 layout(std430, binding = 2) readonly buffer TileCounts { uint tile_counts[]; };
 layout(std430, binding = 3) writeonly buffer Counts { uint counts[]; };
 
@@ -16,6 +16,6 @@ layout(push_constant) uniform Params { uint count; };
 void main() {
     uint rank = group_index() * 64u + gl_LocalInvocationIndex;
     if (rank < count) {
-        counts[rank] = rank < visible_count[0] ? tile_counts[order[rank]] : 0u;
+        counts[rank] = rank < visible_count[0] ? tile_counts[splat_from_rank[rank]] : 0u;
     }
 }

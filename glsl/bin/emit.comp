@@ -7,15 +7,15 @@
 layout(local_size_x = 64) in;
 
 layout(std430, binding = 0) readonly buffer VisibleCount { uint visible_count[]; };
-layout(std430, binding = 1) readonly buffer Order { uint order[]; };
+layout(std430, binding = 1) readonly buffer SplatFromRank { uint splat_from_rank[]; };
 layout(std430, binding = 2) readonly buffer Counts { uint counts[]; };
 layout(std430, binding = 3) readonly buffer Offsets { uint offsets[]; };
 layout(std430, binding = 4) readonly buffer Rectangles { uvec2 rectangles[]; };
 layout(std430, binding = 5) readonly buffer Means { vec4 means[]; };
 layout(std430, binding = 6) readonly buffer Conics { vec4 conics[]; };
 layout(std430, binding = 7) writeonly buffer Tiles { uint tiles[]; };
-layout(std430, binding = 8) writeonly buffer Intersections { uint intersections[]; };
-layout(std430, binding = 9) writeonly buffer Splats { uint splats[]; };
+layout(std430, binding = 8) writeonly buffer Emitted { uint emitted[]; };
+layout(std430, binding = 9) writeonly buffer SplatFromEmitted { uint splat_from_emitted[]; };
 layout(std430, binding = 10) buffer Total { uint total[]; };
 
 layout(push_constant) uniform Params {
@@ -38,7 +38,7 @@ void main() {
     }
     uvec2 image = uvec2(width, height);
     uvec2 grid = tile_grid(image);
-    uint splat = order[rank];
+    uint splat = splat_from_rank[rank];
     uint offset = offsets[rank], reached = counts[rank];
     // A sum that overflowed must not be taken for one that fits. No splat overlaps 2^32 tiles, so
     // an overflow appears at some rank as a sum smaller than its offset.
@@ -56,8 +56,8 @@ void main() {
         for (uint x = packed_first.x; x < packed_last.x && at < end; x++) {
             if (reaches_tile(mean, conic.xyz, conic.w, uvec2(x, y), image)) {
                 tiles[at] = y * grid.x + x;
-                intersections[at] = at;
-                splats[at] = splat;
+                emitted[at] = at;
+                splat_from_emitted[at] = splat;
                 at++;
             }
         }
@@ -65,7 +65,7 @@ void main() {
     // Intersections that were counted but not emitted go to a tile that does not exist.
     for (; at < end; at++) {
         tiles[at] = grid.x * grid.y;
-        intersections[at] = at;
-        splats[at] = splat;
+        emitted[at] = at;
+        splat_from_emitted[at] = splat;
     }
 }

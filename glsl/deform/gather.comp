@@ -7,9 +7,10 @@
 
 layout(local_size_x = 64) in;
 
-// The places (row, neighbour) that hold control point n are places[starts[n] .. starts[n + 1]].
+// The places (row, neighbour) that hold control point n are
+// place_from_sorted[starts[n] .. starts[n + 1]].
 layout(std430, binding = 0) readonly buffer Starts { uint starts[]; };
-layout(std430, binding = 1) readonly buffer Places { uint places[]; };
+layout(std430, binding = 1) readonly buffer PlaceFromSorted { uint place_from_sorted[]; };
 layout(std430, binding = 2) readonly buffer Contributions { vec4 contributions[]; };
 layout(std430, binding = 3) readonly buffer Transforms { vec4 transforms[]; };
 layout(std430, binding = 4) buffer TransformGradients { vec4 transform_gradients[]; };
@@ -35,7 +36,7 @@ void main() {
     vec4 b = vec4(0.0);
     uint end = real ? starts[node + 1u] : 0u;
     for (uint i = (real ? starts[node] : 0u) + lane; i < end; i += 64u) {
-        uint place = places[i];
+        uint place = place_from_sorted[i];
         a += contributions[2u * place];
         b += contributions[2u * place + 1u];
     }

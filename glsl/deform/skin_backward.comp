@@ -7,7 +7,7 @@
 
 layout(local_size_x = 64) in;
 
-layout(std430, binding = 0) readonly buffer DynamicIds { uint dynamic_ids[]; };
+layout(std430, binding = 0) readonly buffer GaussianFromDynamic { uint gaussian_from_dynamic[]; };
 layout(std430, binding = 1) readonly buffer Neighbours { uint neighbours[]; };
 layout(scalar, binding = 2) readonly buffer Positions { vec3 positions[]; };
 layout(std430, binding = 3) readonly buffer Rotations { vec4 rotations[]; };
@@ -40,7 +40,7 @@ void main() {
     if (row >= rows) {
         return;
     }
-    uint j = dynamic_ids[row];
+    uint j = gaussian_from_dynamic[row];
     vec3 point = positions[j];
     Neighbour near[8];
     uint heaviest;

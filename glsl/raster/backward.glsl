@@ -25,8 +25,8 @@ layout(constant_id = 1) const bool SEVERAL = true;
 layout(constant_id = 2) const bool SPREAD = false;
 
 layout(std430, binding = 0) readonly buffer Ranges { uvec2 ranges[]; };
-layout(std430, binding = 1) readonly buffer Intersections { uint intersections[]; };
-layout(std430, binding = 2) readonly buffer Splats { uint splats[]; };
+layout(std430, binding = 1) readonly buffer EmittedFromSorted { uint emitted_from_sorted[]; };
+layout(std430, binding = 2) readonly buffer SplatFromEmitted { uint splat_from_emitted[]; };
 layout(std430, binding = 3) readonly buffer Means { vec4 means[]; };
 layout(std430, binding = 4) readonly buffer Conics { vec4 conics[]; };
 layout(std430, binding = 5) readonly buffer Colours { vec4 colours[]; };
@@ -209,8 +209,8 @@ void main() {
             colour = vec4(0.0);
             uint slot = 0u;
             if (mine) {
-                slot = intersections[at];
-                uint splat = splats[slot];
+                slot = emitted_from_sorted[at];
+                uint splat = splat_from_emitted[slot];
                 mean = means[splat];
                 conic = conics[splat];
                 colour = colours[splat];
@@ -243,7 +243,7 @@ void main() {
                     b += partial_b[from];
                     c += partial_c[from];
                 }
-                uint slot = intersections[batch + id];
+                uint slot = emitted_from_sorted[batch + id];
                 slots_a[slot] = a;
                 slots_b[slot] = b;
                 slots_c[slot] = c;
@@ -255,7 +255,7 @@ void main() {
     // Splats behind the last blended one have zero gradients. Their slots are written because
     // raster/gather reads them.
     for (uint at = stop + id; at < range.y; at += LANES) {
-        uint slot = intersections[at];
+        uint slot = emitted_from_sorted[at];
         slots_a[slot] = vec4(0.0);
         slots_b[slot] = vec4(0.0);
         slots_c[slot] = vec2(0.0);

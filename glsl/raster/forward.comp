@@ -13,8 +13,8 @@
 layout(local_size_x = LANES) in;
 
 layout(std430, binding = 0) readonly buffer Ranges { uvec2 ranges[]; };
-layout(std430, binding = 1) readonly buffer Intersections { uint intersections[]; };
-layout(std430, binding = 2) readonly buffer Splats { uint splats[]; };
+layout(std430, binding = 1) readonly buffer EmittedFromSorted { uint emitted_from_sorted[]; };
+layout(std430, binding = 2) readonly buffer SplatFromEmitted { uint splat_from_emitted[]; };
 layout(std430, binding = 3) readonly buffer Means { vec4 means[]; };
 layout(std430, binding = 4) readonly buffer Conics { vec4 conics[]; };
 layout(std430, binding = 5) readonly buffer Colours { vec4 colours[]; };
@@ -84,7 +84,7 @@ void main() {
             colour = vec4(0.0);
             bool reaches = false;
             if (at < range.y) {
-                uint splat = splats[intersections[at]];
+                uint splat = splat_from_emitted[emitted_from_sorted[at]];
                 mean = means[splat];
                 conic = conics[splat];
                 reaches = least_power(mean.xy, conic.xyz, lowest, highest) <= conic.w;

@@ -6,8 +6,8 @@
 layout(local_size_x = 256) in;
 
 layout(std430, binding = 0) readonly buffer Ranges { uvec2 ranges[]; };
-layout(std430, binding = 1) readonly buffer Intersections { uint intersections[]; };
-layout(std430, binding = 2) readonly buffer Splats { uint splats[]; };
+layout(std430, binding = 1) readonly buffer EmittedFromSorted { uint emitted_from_sorted[]; };
+layout(std430, binding = 2) readonly buffer SplatFromEmitted { uint splat_from_emitted[]; };
 layout(std430, binding = 3) readonly buffer Means { vec4 means[]; };
 layout(std430, binding = 4) readonly buffer Conics { vec4 conics[]; };
 layout(std430, binding = 5) readonly buffer Colours { vec4 colours[]; };
@@ -66,7 +66,7 @@ void main() {
         }
         uint at = base + lane;
         if (at < range.y) {
-            uint splat = splats[intersections[at]];
+            uint splat = splat_from_emitted[emitted_from_sorted[at]];
             batch_means[lane] = means[splat];
             batch_conics[lane] = conics[splat];
             batch_colours[lane] = colours[splat];

@@ -5,7 +5,7 @@
 layout(local_size_x = 64) in;
 
 layout(std430, binding = 0) readonly buffer VisibleCount { uint visible_count[]; };
-layout(std430, binding = 1) readonly buffer Order { uint order[]; };
+layout(std430, binding = 1) readonly buffer SplatFromRank { uint splat_from_rank[]; };
 layout(std430, binding = 2) readonly buffer Counts { uint counts[]; };
 layout(std430, binding = 3) readonly buffer Offsets { uint offsets[]; };
 layout(std430, binding = 4) readonly buffer SlotsA { vec4 slots_a[]; };
@@ -34,7 +34,7 @@ void main() {
     if (rank >= min(count, visible_count[0])) {
         return;
     }
-    uint splat = order[rank];
+    uint splat = splat_from_rank[rank];
     uint first = min(offsets[rank], capacity);
     uint last = min(first + counts[rank], capacity);
     vec4 a = vec4(0.0), b = vec4(0.0);

@@ -159,9 +159,9 @@ impl Frame {
         let tile_counts = cut(stream.download(&s.tile_counts)?, n);
         let visible = cut(stream.download(&s.visible)?, n);
         let tiles = cut(stream.download(&s.tiles)?, m);
-        let owners = cut(stream.download(&s.splats)?, m);
+        let owners = cut(stream.download(&s.splat_from_emitted)?, m);
         let sorted = cut(stream.download(&s.sorted_tiles)?, m);
-        let intersections = cut(stream.download(&s.intersections)?, m);
+        let intersections = cut(stream.download(&s.emitted_from_sorted)?, m);
         let wide = f64::from;
         let splats = (0..n)
             .map(|i| {
@@ -181,9 +181,9 @@ impl Frame {
             .collect();
         let bins = Bins {
             grid: grid(self.pixels.width, self.pixels.height),
-            order: cut(stream.download(&s.order)?, self.counts.visible),
+            splat_from_rank: cut(stream.download(&s.splat_from_rank)?, self.counts.visible),
             offsets: cut(stream.download(&s.rank_offsets)?, self.counts.visible),
-            splats: intersections.iter().map(|&at| owners[at as usize]).collect(),
+            splat_from_sorted: intersections.iter().map(|&at| owners[at as usize]).collect(),
             tiles: sorted,
             ranges: stream.download(&s.ranges)?,
         };

@@ -2,6 +2,8 @@
 
 use std::time::{Duration, Instant};
 
+use super::verify::Check;
+use crate::check::{Harness, Workload};
 use crate::gpu::{Detail, Device, Meter, Recorder};
 use crate::report::{Accuracy, Clock, Place, Row, Spread, Work};
 use crate::{Error, Result};
@@ -100,6 +102,20 @@ impl Job {
                 Ok(None)
             }),
         })
+    }
+
+    /// A workload of the check cases: executed once and compared as a case does, then submitted again
+    /// and again.
+    pub(super) fn of<W: Workload + 'static>(
+        device: &Device,
+        seed: u64,
+        prepare: impl FnOnce(&mut Harness) -> Result<W>,
+    ) -> Result<Job> {
+        let mut harness = Harness::new(device, seed)?;
+        let mut workload = prepare(&mut harness)?;
+        harness.execute(&mut workload)?;
+        let accuracy = Check::of(&harness.finish().0).accuracy();
+        Job::recorded(device, accuracy, workload.work(), move |recorder| workload.record(recorder))
     }
 
     /// A job on the CPU.

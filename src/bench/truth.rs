@@ -41,7 +41,7 @@ pub(super) fn cloud_at(scene: &Scene, time: f64) -> Cloud<f64> {
         opacity_logits: &cloud.opacity_logits,
         motion_logits: &unused,
         evidence: &unused,
-        dynamic_ids: &ids,
+        gaussian_from_dynamic: &ids,
         neighbours: &neighbours,
         k,
         nodes: &nodes,

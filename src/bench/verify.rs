@@ -1,6 +1,6 @@
 //! Comparison of results with the oracle, summarised as one [`Accuracy`].
 
-use crate::check::Bound;
+use crate::check::{Bound, Finding};
 use crate::report::Accuracy;
 
 /// Collects comparisons; the one with the largest error relative to its bound is reported.
@@ -11,6 +11,15 @@ pub(super) struct Check {
 impl Check {
     pub(super) fn new() -> Check {
         Check { worst: Accuracy { of_bound: 0.0, error: 0.0, output: "nothing compared".into() } }
+    }
+
+    /// The comparisons of a workload.
+    pub(super) fn of(findings: &[Finding]) -> Check {
+        let mut check = Check::new();
+        for finding in findings {
+            check.note(&finding.output, finding.worst_of_bound, finding.worst_absolute);
+        }
+        check
     }
 
     pub(super) fn accuracy(self) -> Accuracy {

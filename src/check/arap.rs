@@ -1,22 +1,23 @@
 //! Check cases of the as-rigid-as-possible energy.
 
-use super::{Bound, Case, Harness};
+use super::{Bound, Case, Guarded, Harness, Workload};
 use crate::error::Result;
+use crate::gpu::{Buffer, Recorder};
 use crate::ops::arap::{Arap, ArapArgs, ArapSettings};
 use crate::oracle::rotation::{apply, matrix, unit};
 use crate::oracle::{Real, arap, deform};
+use crate::types::Work;
 use rand::RngExt;
 
 /// The family's cases.
 pub const CASES: &[Case] = &[
-    Case { id: "arap/random", kernels: KERNELS, run: random },
-    Case { id: "arap/central_differences", kernels: KERNELS, run: central_differences },
-    Case { id: "arap/rigid", kernels: KERNELS, run: rigid },
-    Case { id: "arap/degenerate", kernels: KERNELS, run: degenerate },
-    Case { id: "arap/scales", kernels: KERNELS, run: scales },
+    Case { id: "arap/random", run: random },
+    Case { id: "arap/central_differences", run: central_differences },
+    Case { id: "arap/rigid", run: rigid },
+    Case { id: "arap/degenerate", run: degenerate },
+    Case { id: "arap/scales", run: scales },
 ];
 
-const KERNELS: &[&str] = &["arap/fit", "arap/gather"];
 const SETTINGS: ArapSettings = ArapSettings { always: 3, reach: 0.8, weight: 0.5 };
 
 type Points = Vec<[f32; 3]>;
@@ -69,50 +70,92 @@ impl Scene {
         (energies, gradients.collect())
     }
 
-    fn run(&self, h: &mut Harness, bound: Bound) -> Result<()> {
-        let (energies, gradients) = self.device(h)?;
-        let (truth, by_truth) = self.oracle::<f64>();
-        let (twin, by_twin) = self.oracle::<f32>();
-        h.close("energies", &energies, &truth, Some(&twin), bound);
+    fn run(self, h: &mut Harness, bound: Bound) -> Result<()> {
+        let mut workload = ArapWorkload::new(h, self, bound)?;
+        h.execute(&mut workload)
+    }
+}
+
+/// The energies of control points, and their gradients.
+pub(crate) struct ArapWorkload {
+    scene: Scene,
+    bound: Bound,
+    op: Arap,
+    nodes: Buffer<f32>,
+    log_radii: Buffer<f32>,
+    transforms: Buffer<[f32; 4]>,
+    base: Buffer<[f32; 4]>,
+    energies: Guarded<f32>,
+    /// 8 for each point at the first time, then at the second.
+    gradients: Guarded<[f32; 4]>,
+}
+
+impl ArapWorkload {
+    fn new(h: &mut Harness, scene: Scene, bound: Bound) -> Result<ArapWorkload> {
+        let count = scene.nodes.len();
+        let translations = scene.first.iter().chain(&scene.second);
+        let halves: Vec<[f32; 4]> =
+            translations.flat_map(|t| [[t[0], t[1], t[2], 0.0], [1.0, 0.0, 0.0, 0.0]]).collect();
+        Ok(ArapWorkload {
+            op: Arap::new(&h.device, scene.k, count)?,
+            nodes: h.device.upload("nodes", scene.nodes.as_flattened())?,
+            log_radii: h.device.upload("log radii", &scene.log_radii)?,
+            transforms: h.device.upload("transforms", &halves)?,
+            base: h.device.upload("base", &vec![[scene.base; 4]; 4 * count])?,
+            energies: h.output("energies", count)?,
+            gradients: h.output("transform gradients", 4 * count)?,
+            scene,
+            bound,
+        })
+    }
+
+    /// Control points in a cube that move at random, with `k` edges each.
+    pub(crate) fn random(h: &mut Harness, count: usize, k: usize) -> Result<ArapWorkload> {
+        let scene = Scene {
+            nodes: cloud(h, count, 1.0),
+            log_radii: (0..count).map(|_| h.rng.random_range(-1.0f32..0.0)).collect(),
+            first: cloud(h, count, 0.2),
+            second: cloud(h, count, 0.2),
+            k,
+            base: 0.0,
+        };
+        ArapWorkload::new(h, scene, bound(count))
+    }
+}
+
+impl Workload for ArapWorkload {
+    fn record_before(&mut self, recorder: &mut Recorder) -> Result<()> {
+        recorder.copy(self.base.view(), self.gradients.view_mut());
+        self.op.refresh(recorder, self.nodes.view())
+    }
+
+    fn record(&mut self, recorder: &mut Recorder) -> Result<()> {
+        let args = ArapArgs {
+            nodes: self.nodes.view(),
+            log_radii: self.log_radii.view(),
+            transforms: self.transforms.view(),
+            times: [0, 1],
+            energies: self.energies.view_mut(),
+            transform_gradients: self.gradients.view_mut(),
+        };
+        self.op.record(recorder, &SETTINGS, args)
+    }
+
+    fn compare(&self, h: &mut Harness) -> Result<()> {
+        let (truth, by_truth) = self.scene.oracle::<f64>();
+        let (twin, by_twin) = self.scene.oracle::<f32>();
+        let (energies, gradients) = (h.read(&self.energies)?, h.read(&self.gradients)?.concat());
+        h.close("energies", &energies, &truth, Some(&twin), self.bound);
         let (t, w) = (by_truth.as_flattened(), by_twin.as_flattened());
-        h.close("gradients", &gradients, t, Some(w), bound);
+        h.close("gradients", &gradients, t, Some(w), self.bound);
         Ok(())
     }
 
-    /// Energies, and gradients: 8 for each point at the first time, then at the second.
-    fn device(&self, h: &mut Harness) -> Result<(Vec<f32>, Vec<f32>)> {
-        let count = self.nodes.len();
-        let device = h.device.clone();
-        let nodes = device.upload("nodes", self.nodes.as_flattened())?;
-        let log_radii = device.upload("log radii", &self.log_radii)?;
-        let halves: Vec<[f32; 4]> = self
-            .first
-            .iter()
-            .chain(&self.second)
-            .flat_map(|t| [[t[0], t[1], t[2], 0.0], [1.0, 0.0, 0.0, 0.0]])
-            .collect();
-        let transforms = device.upload("transforms", &halves)?;
-        let base = device.upload("base", &vec![[self.base; 4]; 4 * count])?;
-        let mut energies = h.output::<f32>("energies", count)?;
-        let mut gradients = h.output::<[f32; 4]>("transform gradients", 4 * count)?;
-        let mut op = Arap::new(&device, self.k, count)?;
-        let mut recorder = h.stream.record()?;
-        recorder.copy(base.view(), gradients.view_mut());
-        op.refresh(&mut recorder, nodes.view())?;
-        op.record(
-            &mut recorder,
-            &SETTINGS,
-            ArapArgs {
-                nodes: nodes.view(),
-                log_radii: log_radii.view(),
-                transforms: transforms.view(),
-                times: [0, 1],
-                energies: energies.view_mut(),
-                transform_gradients: gradients.view_mut(),
-            },
-        )?;
-        h.stream.submit(recorder)?;
-        Ok((h.read(&energies)?, h.read(&gradients)?.concat()))
+    /// Per control point a 3×3 rotation by Jacobi sweeps; per edge outer products and two gradients.
+    fn work(&self) -> Work {
+        let nodes = self.scene.nodes.len() as u64;
+        let edges = nodes * self.scene.k as u64;
+        Work { bytes: edges * (4 + 24 + 24 + 24), operations: edges * 60 + nodes * 800 }
     }
 }
 
@@ -128,15 +171,8 @@ fn bound(count: usize) -> Bound {
 
 fn random(h: &mut Harness) -> Result<()> {
     for (count, k) in [(100, 10), (65, 4), (5, 10), (300, 15), (2, 3), (1, 3), (0, 3)] {
-        let scene = Scene {
-            nodes: cloud(h, count, 1.0),
-            log_radii: (0..count).map(|_| h.rng.random_range(-1.0f32..0.0)).collect(),
-            first: cloud(h, count, 0.2),
-            second: cloud(h, count, 0.2),
-            k,
-            base: 0.0,
-        };
-        scene.run(h, bound(count))?;
+        let mut workload = ArapWorkload::random(h, count, k)?;
+        h.execute(&mut workload)?;
     }
     Ok(())
 }
@@ -146,16 +182,13 @@ fn random(h: &mut Harness) -> Result<()> {
 fn central_differences(h: &mut Harness) -> Result<()> {
     const STEP: f64 = 1e-6;
     let count = 20;
-    let scene = Scene {
-        nodes: cloud(h, count, 1.0),
-        log_radii: (0..count).map(|_| h.rng.random_range(-1.0f32..0.0)).collect(),
-        first: cloud(h, count, 0.2),
-        second: cloud(h, count, 0.2),
-        k: 6,
-        base: 0.0,
-    };
-    let (_, gradients) = scene.device(h)?;
-    let (edges, mut points) = scene.numbers::<f64>();
+    let mut workload = ArapWorkload::random(h, count, 6)?;
+    let mut recorder = h.stream.record()?;
+    workload.record_before(&mut recorder)?;
+    workload.record(&mut recorder)?;
+    h.stream.submit(recorder)?;
+    let gradients = h.read(&workload.gradients)?.concat();
+    let (edges, mut points) = workload.scene.numbers::<f64>();
     let weight = f64::from(SETTINGS.weight);
     let (mut device, mut slopes) = (Vec::new(), Vec::new());
     for (time, i, c) in (0..2 * count * 3).map(|n| (n / 3 / count, n / 3 % count, n % 3)) {

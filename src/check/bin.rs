@@ -10,16 +10,14 @@ use crate::oracle::{scan, sort};
 use crate::types::{Camera, Gaussians, RenderSettings};
 use rand::RngExt;
 
-const KERNELS: &[&str] = &["bin/compact", "bin/counts", "bin/emit", "bin/ranges", "bin/fits"];
-
 /// The family's cases.
 pub const CASES: &[Case] = &[
-    Case { id: "bin/lists", kernels: KERNELS, run: lists },
-    Case { id: "bin/equal_depths", kernels: KERNELS, run: equal_depths },
-    Case { id: "bin/depth_bits", kernels: KERNELS, run: depth_bits },
-    Case { id: "bin/image_sizes", kernels: KERNELS, run: image_sizes },
-    Case { id: "bin/overflow", kernels: KERNELS, run: overflow },
-    Case { id: "bin/saturation", kernels: KERNELS, run: saturation },
+    Case { id: "bin/lists", run: lists },
+    Case { id: "bin/equal_depths", run: equal_depths },
+    Case { id: "bin/depth_bits", run: depth_bits },
+    Case { id: "bin/image_sizes", run: image_sizes },
+    Case { id: "bin/overflow", run: overflow },
+    Case { id: "bin/saturation", run: saturation },
 ];
 
 /// Tolerance of the power at the cut, from rounding in the conic and the power. Within it, a tile
@@ -61,7 +59,7 @@ fn compare(
         (0..out.visible.len() as u32).filter(|&i| out.visible[i as usize] != 0).collect();
     let keys: Vec<u32> = drawn.iter().map(|&i| out.means[i as usize][2].to_bits()).collect();
     let order = sort::by_bits(&keys, &drawn, 0..32).1;
-    harness.exact(&format!("{what}: order"), &out.order, &order);
+    harness.exact(&format!("{what}: order"), &out.splat_from_rank, &order);
 
     // Offsets; nothing is written past the last.
     let mut counts: Vec<u32> = order.iter().map(|&i| out.tile_counts[i as usize]).collect();
@@ -78,7 +76,7 @@ fn compare(
     for (rank, &splat) in order.iter().enumerate() {
         let begin = (out.rank_offsets[rank] as usize).min(m);
         let end = (begin + counts[rank] as usize).min(m);
-        right &= out.splats[begin..end].iter().all(|&s| s == splat);
+        right &= out.splat_from_emitted[begin..end].iter().all(|&s| s == splat);
         let emitted = &out.tiles[begin..end];
         phantoms += emitted.iter().filter(|&&t| t >= tile_count).count();
         let [surely, maybe] = tiles(out, splat as usize, width, height);
@@ -95,7 +93,7 @@ fn compare(
     let numbers: Vec<u32> = (0..m as u32).collect();
     let (tiles, intersections) = sort::by_bits(&out.tiles, &numbers, 0..32);
     harness.exact(&format!("{what}: sorted tiles"), &out.sorted_tiles, &tiles);
-    harness.exact(&format!("{what}: intersections"), &out.intersections, &intersections);
+    harness.exact(&format!("{what}: intersections"), &out.emitted_from_sorted, &intersections);
     let ranges: Vec<[u32; 2]> = (0..tile_count)
         .map(|tile| {
             let begin = tiles.partition_point(|&t| t < tile) as u32;
@@ -161,7 +159,7 @@ fn depth_bits(harness: &mut Harness) -> Result<()> {
         let drawn: Vec<u32> = (0..3000u32).filter(|&i| visible[i as usize] != 0).collect();
         let keys: Vec<u32> = drawn.iter().map(|&i| means[i as usize][2].to_bits()).collect();
         let order = sort::by_bits(&keys, &drawn, 31 - bits..31).1;
-        let got = stream.download(&scratch.order)?;
+        let got = stream.download(&scratch.splat_from_rank)?;
         harness.exact(&format!("{bits} bits: order"), &got[..drawn.len()], &order);
     }
     let render = Render::plan(&harness.device, 1, 1, 16, 16, RenderSettings::default())?;
@@ -202,7 +200,11 @@ fn overflow(harness: &mut Harness) -> Result<()> {
         let out = run(harness, &what, &scene, &camera, capacity)?;
         harness.exact(&format!("{what}: counts"), &out.counts, &whole.counts);
         harness.exact(&format!("{what}: nearest"), &out.tiles, &whole.tiles[..capacity]);
-        harness.exact(&format!("{what}: whose"), &out.splats, &whole.splats[..capacity]);
+        harness.exact(
+            &format!("{what}: whose"),
+            &out.splat_from_emitted,
+            &whole.splat_from_emitted[..capacity],
+        );
     }
     Ok(())
 }

@@ -63,11 +63,12 @@ pub const HARD: &[(&str, &[&str])] = &[
     ("decisions: pixels at the alpha cut and at the transmittance stop", &["raster/decisions"]),
 ];
 
-/// The quick set: every kernel, in under a minute on a software driver.
+/// The quick set: every kernel in every variant, in under a minute on a software driver.
 pub const QUICK: &[&str] = &[
     "adam/steps",
     "adam/gate",
     "adam/hard",
+    "adam/visible",
     "arap/random",
     "arap/degenerate",
     "bin/lists",
@@ -103,6 +104,7 @@ pub const QUICK: &[&str] = &[
     "project/forward",
     "project/backward",
     "project/decisions",
+    "project/halves",
     "raster/scenes",
     "raster/shared_memory",
     "raster/decisions",

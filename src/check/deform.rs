@@ -9,19 +9,16 @@ use rand::RngExt;
 
 /// The family's cases.
 pub const CASES: &[Case] = &[
-    Case { id: "deform/nearest", kernels: LISTS, run: nearest },
-    Case { id: "deform/hard_motion", kernels: SKIN, run: hard_motion },
-    Case { id: "deform/soft_motion", kernels: SKIN, run: soft_motion },
-    Case { id: "deform/central_differences", kernels: SKIN, run: central_differences },
-    Case { id: "deform/underflow", kernels: SKIN, run: underflow },
-    Case { id: "deform/degenerate", kernels: SKIN, run: degenerate },
-    Case { id: "deform/far", kernels: SKIN, run: far },
-    Case { id: "deform/still", kernels: SKIN, run: still },
-    Case { id: "deform/repeat", kernels: SKIN, run: repeat },
+    Case { id: "deform/nearest", run: nearest },
+    Case { id: "deform/hard_motion", run: hard_motion },
+    Case { id: "deform/soft_motion", run: soft_motion },
+    Case { id: "deform/central_differences", run: central_differences },
+    Case { id: "deform/underflow", run: underflow },
+    Case { id: "deform/degenerate", run: degenerate },
+    Case { id: "deform/far", run: far },
+    Case { id: "deform/still", run: still },
+    Case { id: "deform/repeat", run: repeat },
 ];
-
-const LISTS: &[&str] = &["deform/nearest", "deform/keys", "deform/starts"];
-const SKIN: &[&str] = &["deform/skin", "deform/skin_backward", "deform/gather"];
 
 /// Neighbour lists and their transpose, on a lattice with many ties, which must be broken as in the
 /// oracle.
@@ -49,7 +46,7 @@ fn nearest(h: &mut Harness) -> Result<()> {
         lists.refresh(&mut recorder, id_view, position_buffer.view(), node_buffer.view())?;
         recorder.copy(lists.neighbours(), found.view_mut());
         recorder.copy(lists.starts(), starts.view_mut());
-        recorder.copy(lists.places(), places.view_mut());
+        recorder.copy(lists.place_from_sorted(), places.view_mut());
         h.stream.submit(recorder)?;
         let listed: Vec<[f32; 3]> = ids.iter().map(|&i| triple(&positions, i as usize)).collect();
         let all: Vec<[f32; 3]> = (0..nodes).map(|i| triple(&centres, i)).collect();
@@ -117,7 +114,7 @@ impl<R: Real> Numbers<R> {
             opacity_logits: &self.opacity_logits,
             motion_logits: &self.logits,
             evidence: &self.evidence,
-            dynamic_ids: &scene.ids,
+            gaussian_from_dynamic: &scene.ids,
             neighbours: &self.neighbours,
             k: scene.k,
             nodes: &self.nodes,
@@ -240,7 +237,7 @@ impl Scene {
         let mut recorder = h.stream.record()?;
         skin.refresh(&mut recorder, ids.view(), positions.view(), node_buffer.view())?;
         let args = SkinArgs {
-            dynamic_ids: ids.view(),
+            gaussian_from_dynamic: ids.view(),
             positions: positions.view(),
             rotations: rotations.view(),
             opacity_logits: opacity_logits.view(),

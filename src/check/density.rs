@@ -12,30 +12,15 @@ use rand::RngExt;
 
 /// The family's cases.
 pub const CASES: &[Case] = &[
-    Case { id: "density/relocate", kernels: RELOCATE, run: relocate },
-    Case { id: "density/grow", kernels: RELOCATE, run: grow },
-    Case { id: "density/shrink", kernels: &["density/shrink"], run: shrink },
-    Case { id: "density/jitter", kernels: &["density/jitter"], run: noise },
-    Case { id: "density/adapt", kernels: ADAPT, run: adapt },
-    Case { id: "density/regularise", kernels: &["density/regularise"], run: regularisers },
-    Case {
-        id: "density/central_differences",
-        kernels: &["density/regularise"],
-        run: central_differences,
-    },
-    Case { id: "density/statistics", kernels: STATISTICS, run: statistics },
+    Case { id: "density/relocate", run: relocate },
+    Case { id: "density/grow", run: grow },
+    Case { id: "density/shrink", run: shrink },
+    Case { id: "density/jitter", run: noise },
+    Case { id: "density/adapt", run: adapt },
+    Case { id: "density/regularise", run: regularisers },
+    Case { id: "density/central_differences", run: central_differences },
+    Case { id: "density/statistics", run: statistics },
 ];
-
-const RELOCATE: &[&str] = &[
-    "density/weigh",
-    "density/slots",
-    "density/draw",
-    "density/shrink",
-    "density/copy",
-    "density/zero",
-];
-const ADAPT: &[&str] = &["density/decide", "density/layout", "density/gather", "density/parts"];
-const STATISTICS: &[&str] = &["density/accumulate", "density/reset"];
 
 fn reals<R: Real>(values: &[f32]) -> Vec<R> {
     values.iter().map(|&v| R::of(f64::from(v))).collect()

@@ -14,32 +14,11 @@ use crate::types::{Camera, ControlPoints, DeformNet, Image, Intrinsics, NetShape
 use glam::DVec3;
 use rand::RngExt;
 
-const RENDER: &[&str] = &[
-    "project/forward",
-    "bin/compact",
-    "bin/counts",
-    "bin/emit",
-    "bin/ranges",
-    "bin/fits",
-    "raster/forward",
-    "loss/columns",
-    "loss/ssim",
-    "loss/gradient",
-    "raster/backward",
-    "raster/backward_narrow",
-    "raster/gather",
-    "project/backward",
-    "adam/step",
-    "density/draw",
-    "density/jitter",
-    "density/regularise",
-];
-
 /// The family's cases.
 pub const CASES: &[Case] = &[
-    Case { id: "determinism/static_training", kernels: RENDER, run: |h| train(h, Moved::Not) },
-    Case { id: "determinism/dynamic_training", kernels: RENDER, run: |h| train(h, Moved::Network) },
-    Case { id: "determinism/path_training", kernels: RENDER, run: |h| train(h, Moved::Paths) },
+    Case { id: "determinism/static_training", run: |h| train(h, Moved::Not) },
+    Case { id: "determinism/dynamic_training", run: |h| train(h, Moved::Network) },
+    Case { id: "determinism/path_training", run: |h| train(h, Moved::Paths) },
 ];
 
 /// The motion model of a case.

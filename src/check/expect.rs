@@ -58,6 +58,7 @@ pub fn verdict<'a>(
 mod tests {
     use super::*;
     use crate::check::finding;
+    use std::collections::BTreeSet;
 
     #[test]
     fn a_fault_is_expected_of_its_driver_only_and_must_show() {
@@ -65,6 +66,7 @@ mod tests {
             id: "sort/sizes",
             seed: 0,
             findings: vec![finding::exact("keys", &[1], &[truth])],
+            dispatched: BTreeSet::new(),
             error: None,
         };
         let expected =
@@ -77,7 +79,7 @@ mod tests {
         assert!(matches!(judge(2, true, here), Verdict::KnownFault(_)));
         assert!(matches!(judge(1, true, here), Verdict::FaultGone(_)));
         assert!(!judge(1, true, here).is_fine() && judge(2, true, here).is_fine());
-        let nothing = Outcome { id: "sort/sizes", seed: 0, findings: Vec::new(), error: None };
+        let nothing = Outcome { findings: Vec::new(), ..outcome(1) };
         assert!(matches!(verdict(&nothing, true, elsewhere, &expected), Verdict::Failed));
     }
 }

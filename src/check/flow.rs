@@ -11,27 +11,11 @@ use rand::RngExt;
 
 /// The family's cases.
 pub const CASES: &[Case] = &[
-    Case {
-        id: "flow/pyramid",
-        kernels: &["flow/luma", "flow/halve", "flow/derivatives"],
-        run: pyramid,
-    },
-    Case {
-        id: "flow/start",
-        kernels: &["flow/census", "flow/path", "flow/cheapest", "flow/upsample"],
-        run: start,
-    },
-    Case {
-        id: "flow/patches",
-        kernels: &["flow/search", "flow/propagate", "flow/densify"],
-        run: patches,
-    },
-    Case {
-        id: "flow/refine",
-        kernels: &["flow/linearise", "flow/relax", "flow/median"],
-        run: refine,
-    },
-    Case { id: "flow/consistency", kernels: &["flow/trust", "flow/confidence"], run: consistency },
+    Case { id: "flow/pyramid", run: pyramid },
+    Case { id: "flow/start", run: start },
+    Case { id: "flow/patches", run: patches },
+    Case { id: "flow/refine", run: refine },
+    Case { id: "flow/consistency", run: consistency },
 ];
 
 /// Odd sizes, sides shorter than a patch, and a single pixel.

@@ -1,5 +1,5 @@
-//! The contract's hard inputs of pose estimation. The cases run on the host only, so they cover no
-//! kernel, and `validate` runs them once, whatever the number of devices.
+//! The contract's hard inputs of pose estimation. The cases run on the host only, so `validate` runs them
+//! once, whatever the number of devices.
 
 use super::{Bound, Case, Harness};
 use crate::error::Result;
@@ -23,7 +23,7 @@ pub const CASES: &[Case] = &[
 ];
 
 const fn case(id: &'static str, run: fn(&mut Harness) -> Result<()>) -> Case {
-    Case { id, kernels: &[], run }
+    Case { id, run }
 }
 
 /// Compares an error with a limit.

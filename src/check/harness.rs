@@ -1,5 +1,6 @@
 //! The harness of a case: seeded inputs, guarded outputs and comparisons.
 
+use super::Workload;
 use super::finding::{self, Bound, Finding};
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Device, Stream, ViewMut};
@@ -40,7 +41,7 @@ pub struct Harness {
 }
 
 impl Harness {
-    pub(super) fn new(device: &Device, seed: u64) -> Result<Harness> {
+    pub(crate) fn new(device: &Device, seed: u64) -> Result<Harness> {
         Ok(Harness {
             device: device.clone(),
             stream: device.stream()?,
@@ -51,8 +52,30 @@ impl Harness {
     }
 
     /// The findings, and a digest of all bits that the device returned.
-    pub(super) fn finish(self) -> (Vec<Finding>, u64) {
+    pub(crate) fn finish(self) -> (Vec<Finding>, u64) {
         (self.findings, self.digest.finish())
+    }
+
+    /// Runs a workload once and compares its outputs.
+    ///
+    /// # Errors
+    /// Those of the workload, or a failed submission.
+    pub fn execute(&mut self, workload: &mut impl Workload) -> Result<()> {
+        let mut recorder = self.stream.record()?;
+        workload.record_before(&mut recorder)?;
+        workload.record(&mut recorder)?;
+        self.stream.submit(recorder)?;
+        workload.compare(self)
+    }
+
+    /// As [`execute`](Self::execute); the findings name the input.
+    pub(super) fn execute_on(&mut self, input: &str, workload: &mut impl Workload) -> Result<()> {
+        let first = self.findings.len();
+        let ended = self.execute(workload);
+        for finding in &mut self.findings[first..] {
+            finding.output = format!("{input}: {}", finding.output);
+        }
+        ended
     }
 
     /// A poisoned output of `len` elements between guard words.

@@ -7,8 +7,7 @@ use crate::kernels::indirect;
 use rand::RngExt;
 
 /// The family's cases.
-pub const CASES: &[Case] =
-    &[Case { id: "indirect/arguments", kernels: &["indirect/arguments"], run: arguments }];
+pub const CASES: &[Case] = &[Case { id: "indirect/arguments", run: arguments }];
 
 /// Word offset of the grid in its buffer; the surrounding words must stay unchanged.
 const ARGUMENTS_AT: usize = 2;

@@ -12,17 +12,14 @@ use crate::types::Image;
 use bytemuck::Pod;
 use rand::RngExt;
 
-const PHOTOMETRIC: &[&str] = &["loss/columns", "loss/ssim", "loss/gradient", "loss/total"];
-const ALL: &[&str] = &["loss/columns", "loss/ssim", "loss/gradient", "loss/depth", "loss/total"];
-
 /// The family's cases.
 pub const CASES: &[Case] = &[
-    Case { id: "loss/sizes", kernels: PHOTOMETRIC, run: sizes },
-    Case { id: "loss/shares", kernels: PHOTOMETRIC, run: shares },
-    Case { id: "loss/weights", kernels: ALL, run: weights },
-    Case { id: "loss/central_differences", kernels: ALL, run: central_differences },
-    Case { id: "loss/flat_images", kernels: PHOTOMETRIC, run: flat_images },
-    Case { id: "loss/disparity", kernels: ALL, run: disparity },
+    Case { id: "loss/sizes", run: sizes },
+    Case { id: "loss/shares", run: shares },
+    Case { id: "loss/weights", run: weights },
+    Case { id: "loss/central_differences", run: central_differences },
+    Case { id: "loss/flat_images", run: flat_images },
+    Case { id: "loss/disparity", run: disparity },
 ];
 
 /// Number of further elements in every buffer, which the op must not access.

@@ -12,10 +12,10 @@ use rand::RngExt;
 
 /// The family's cases.
 pub const CASES: &[Case] = &[
-    Case { id: "mask/paint", kernels: &["mask/paint"], run: painting },
-    Case { id: "mask/compare", kernels: &["mask/compare"], run: comparing },
-    Case { id: "mask/vote", kernels: &["mask/vote"], run: voting },
-    Case { id: "mask/blend", kernels: &["mask/paint"], run: blending },
+    Case { id: "mask/paint", run: painting },
+    Case { id: "mask/compare", run: comparing },
+    Case { id: "mask/vote", run: voting },
+    Case { id: "mask/blend", run: blending },
 ];
 
 const SMALL: Bound = Bound { absolute: 1e-6, relative: 1e-6 };

@@ -1,30 +1,21 @@
 //! Check cases of the deformation network.
 
-use super::{Bound, Case, Harness};
+use super::{Bound, Case, Guarded, Harness, Workload};
 use crate::error::Result;
-use crate::ops::mlp::Network;
+use crate::gpu::{Buffer, Recorder};
+use crate::ops::mlp::{Network, NetworkScratch};
 use crate::oracle::mlp;
-use crate::types::{DeformNet, NetShape};
+use crate::types::{DeformNet, NetShape, Work};
 use rand::RngExt;
 
 /// The family's cases.
 pub const CASES: &[Case] = &[
-    Case { id: "mlp/narrow", kernels: KERNELS, run: narrow },
-    Case { id: "mlp/paper", kernels: KERNELS, run: paper },
-    Case { id: "mlp/central_differences", kernels: KERNELS, run: central_differences },
-    Case { id: "mlp/shapes", kernels: KERNELS, run: shapes },
-    Case { id: "mlp/accumulate", kernels: &["mlp/reduce"], run: accumulate },
-    Case { id: "mlp/encoding", kernels: &["mlp/encode"], run: encoding },
-];
-
-const KERNELS: &[&str] = &[
-    "mlp/encode",
-    "mlp/forward",
-    "mlp/transforms",
-    "mlp/seed",
-    "mlp/backward",
-    "mlp/weights",
-    "mlp/reduce",
+    Case { id: "mlp/narrow", run: narrow },
+    Case { id: "mlp/paper", run: paper },
+    Case { id: "mlp/central_differences", run: central_differences },
+    Case { id: "mlp/shapes", run: shapes },
+    Case { id: "mlp/accumulate", run: accumulate },
+    Case { id: "mlp/encoding", run: encoding },
 ];
 
 /// A network small enough for a software driver.
@@ -37,8 +28,9 @@ pub(crate) const NARROW: NetShape = NetShape {
     ..NetShape::PAPER
 };
 
-/// One network with its inputs and the oracle's results.
-struct Problem {
+/// A network with its inputs.
+#[derive(Clone)]
+pub(crate) struct Problem {
     shape: NetShape,
     parameters: Vec<f32>,
     nodes: Vec<f32>,
@@ -47,7 +39,8 @@ struct Problem {
 }
 
 impl Problem {
-    fn new(h: &mut Harness, shape: NetShape, nodes: usize, times: usize) -> Problem {
+    /// Random inputs for a network of this shape.
+    pub(crate) fn new(h: &mut Harness, shape: NetShape, nodes: usize, times: usize) -> Problem {
         // A head and biases of ordinary size: with the initial ones the outputs are close to zero.
         let parameters = DeformNet::random(shape, 3)
             .parameters
@@ -83,53 +76,140 @@ impl Problem {
         (transforms, mlp::backward(&self.shape, &parameters, &pass, &by_output))
     }
 
+    /// The motions, and the gradients of the parameters, added up `repeats` times.
     fn device(&self, h: &mut Harness, repeats: usize) -> Result<(Vec<f32>, Vec<f32>)> {
-        let network = Network::new(&h.device, &self.shape)?;
-        let rows = self.gradients.len();
-        let mut scratch = network.scratch(&h.device, rows)?;
-        let parameters = h.device.upload("parameters", &self.parameters)?;
-        let nodes = h.device.upload("nodes", &self.nodes)?;
-        let times = h.device.upload("times", &self.times)?;
-        let halves: Vec<[f32; 4]> = self
-            .gradients
-            .iter()
-            .flat_map(|&[a, b, c, d, e, f, g, i]| [[a, b, c, d], [e, f, g, i]])
-            .collect();
-        let by_transform = h.device.upload("transform gradients", &halves)?;
-        let mut transforms = h.output::<[f32; 4]>("transforms", 2 * rows)?;
-        let mut gradients = h.output::<f32>("parameter gradients", self.parameters.len())?;
+        let mut workload = MlpWorkload::new(h, self.clone(), Pass::Backward, [Bound::ZERO; 2])?;
         let mut recorder = h.stream.record()?;
-        network.forward(
-            &mut recorder,
-            parameters.view(),
-            nodes.view(),
-            times.view(),
-            transforms.view_mut(),
-            &mut scratch,
-        )?;
+        workload.forward(&mut recorder)?;
         for repeat in 0..repeats {
-            network.backward(
-                &mut recorder,
-                parameters.view(),
-                by_transform.view(),
-                gradients.view_mut(),
-                repeat > 0,
-                &mut scratch,
-            )?;
+            workload.backward(&mut recorder, repeat > 0)?;
         }
         h.stream.submit(recorder)?;
-        Ok((h.read(&transforms)?.concat(), h.read(&gradients)?))
+        Ok((h.read(&workload.transforms)?.concat(), h.read(&workload.gradients)?))
     }
 
-    /// Runs and compares. The bounds are about five times the errors measured on lavapipe, since
-    /// drivers may reorder sums or fuse products; the oracle in f32 has errors of the same size.
-    fn run(&self, h: &mut Harness, outputs: Bound, gradients: Bound) -> Result<()> {
-        let (transforms, by_parameter) = self.device(h, 1)?;
-        let (truth, by_truth) = self.oracle::<f64>();
-        let (twin, by_twin) = self.oracle::<f32>();
-        h.close("transforms", &transforms, &truth, Some(&twin), outputs);
-        h.close("parameter gradients", &by_parameter, &by_truth, Some(&by_twin), gradients);
+    /// Runs both passes and compares.
+    fn run(self, h: &mut Harness, bounds: [Bound; 2]) -> Result<()> {
+        let mut workload = MlpWorkload::new(h, self, Pass::Backward, bounds)?;
+        h.execute(&mut workload)
+    }
+}
+
+/// A pass over the network.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Pass {
+    /// From control points and times to motions.
+    Forward,
+    /// From the gradients of the motions to those of the parameters.
+    Backward,
+}
+
+/// A pass over a network; the forward pass runs before a backward one.
+pub(crate) struct MlpWorkload {
+    problem: Problem,
+    pass: Pass,
+    /// Of the motions and of the gradients. They are about five times the errors measured on lavapipe,
+    /// since drivers may reorder sums or fuse products; the oracle in f32 has errors of the same size.
+    bounds: [Bound; 2],
+    network: Network,
+    scratch: NetworkScratch,
+    parameters: Buffer<f32>,
+    nodes: Buffer<f32>,
+    times: Buffer<f32>,
+    by_transform: Buffer<[f32; 4]>,
+    transforms: Guarded<[f32; 4]>,
+    gradients: Guarded<f32>,
+}
+
+impl MlpWorkload {
+    /// Uploads a problem.
+    pub(crate) fn new(
+        h: &mut Harness,
+        problem: Problem,
+        pass: Pass,
+        bounds: [Bound; 2],
+    ) -> Result<MlpWorkload> {
+        let network = Network::new(&h.device, &problem.shape)?;
+        let rows = problem.gradients.len();
+        let halves: &[[f32; 4]] = bytemuck::cast_slice(&problem.gradients);
+        Ok(MlpWorkload {
+            scratch: network.scratch(&h.device, rows)?,
+            network,
+            parameters: h.device.upload("parameters", &problem.parameters)?,
+            nodes: h.device.upload("nodes", &problem.nodes)?,
+            times: h.device.upload("times", &problem.times)?,
+            by_transform: h.device.upload("transform gradients", halves)?,
+            transforms: h.output("transforms", 2 * rows)?,
+            gradients: h.output("parameter gradients", problem.parameters.len())?,
+            problem,
+            pass,
+            bounds,
+        })
+    }
+
+    fn forward(&mut self, recorder: &mut Recorder) -> Result<()> {
+        self.network.forward(
+            recorder,
+            self.parameters.view(),
+            self.nodes.view(),
+            self.times.view(),
+            self.transforms.view_mut(),
+            &mut self.scratch,
+        )
+    }
+
+    fn backward(&mut self, recorder: &mut Recorder, accumulate: bool) -> Result<()> {
+        self.network.backward(
+            recorder,
+            self.parameters.view(),
+            self.by_transform.view(),
+            self.gradients.view_mut(),
+            accumulate,
+            &mut self.scratch,
+        )
+    }
+}
+
+impl Workload for MlpWorkload {
+    fn record_before(&mut self, recorder: &mut Recorder) -> Result<()> {
+        match self.pass {
+            Pass::Forward => Ok(()),
+            Pass::Backward => self.forward(recorder),
+        }
+    }
+
+    fn record(&mut self, recorder: &mut Recorder) -> Result<()> {
+        match self.pass {
+            Pass::Forward => self.forward(recorder),
+            Pass::Backward => self.backward(recorder, false),
+        }
+    }
+
+    fn compare(&self, h: &mut Harness) -> Result<()> {
+        let (truth, by_truth) = self.problem.oracle::<f64>();
+        let (twin, by_twin) = self.problem.oracle::<f32>();
+        let transforms = h.read(&self.transforms)?.concat();
+        h.close("transforms", &transforms, &truth, Some(&twin), self.bounds[0]);
+        if self.pass == Pass::Backward {
+            let device = h.read(&self.gradients)?;
+            h.close("parameter gradients", &device, &by_truth, Some(&by_twin), self.bounds[1]);
+        }
         Ok(())
+    }
+
+    /// A multiplication and an addition per weight and row. The backward pass has a product for the layer
+    /// below and one for the weights.
+    fn work(&self) -> Work {
+        let layers = self.problem.shape.layers();
+        let products: usize = layers.iter().map(|(inputs, outputs)| inputs * outputs).sum();
+        let activations: usize = layers.iter().map(|(inputs, outputs)| inputs + outputs).sum();
+        let rows = self.problem.gradients.len();
+        let times_over = if self.pass == Pass::Backward { 2 } else { 1 };
+        let values = rows * activations + self.problem.parameters.len();
+        Work {
+            bytes: times_over * 4 * values as u64,
+            operations: times_over * 2 * (rows * products) as u64,
+        }
     }
 }
 
@@ -138,8 +218,7 @@ fn narrow(h: &mut Harness) -> Result<()> {
     // Measured 2.2e-7 and 6.5e-6.
     problem.run(
         h,
-        Bound { absolute: 1e-6, relative: 1e-6 },
-        Bound { absolute: 3e-5, relative: 1e-6 },
+        [Bound { absolute: 1e-6, relative: 1e-6 }, Bound { absolute: 3e-5, relative: 1e-6 }],
     )
 }
 
@@ -148,8 +227,7 @@ fn paper(h: &mut Harness) -> Result<()> {
     // Measured 1.4e-6 and 1.3e-5.
     problem.run(
         h,
-        Bound { absolute: 6e-6, relative: 1e-6 },
-        Bound { absolute: 6e-5, relative: 1e-6 },
+        [Bound { absolute: 6e-6, relative: 1e-6 }, Bound { absolute: 6e-5, relative: 1e-6 }],
     )
 }
 
@@ -219,8 +297,7 @@ fn shapes(h: &mut Harness) -> Result<()> {
         // Measured 1.1e-7 and 2.8e-6.
         problem.run(
             h,
-            Bound { absolute: 1e-6, relative: 1e-6 },
-            Bound { absolute: 2e-5, relative: 1e-6 },
+            [Bound { absolute: 1e-6, relative: 1e-6 }, Bound { absolute: 2e-5, relative: 1e-6 }],
         )?;
     }
     Ok(())
@@ -261,10 +338,10 @@ fn encoding(h: &mut Harness) -> Result<()> {
         for o in 0..7 {
             problem.parameters[head + o * 96 + first + o] = 1.0;
         }
-        let (transforms, _) = problem.device(h, 1)?;
-        let (truth, _) = problem.oracle::<f64>();
         // Measured 1.2e-7: f32's rounding around 1, twice where the rotation's 1 is added.
-        h.close("encodings", &transforms, &truth, None, Bound { absolute: 4e-7, relative: 0.0 });
+        let bounds = [Bound { absolute: 4e-7, relative: 0.0 }, Bound::ZERO];
+        let mut workload = MlpWorkload::new(h, problem, Pass::Forward, bounds)?;
+        h.execute(&mut workload)?;
     }
     Ok(())
 }

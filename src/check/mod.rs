@@ -4,12 +4,15 @@
 //! compares with the oracle in f32, so that a report can distinguish a device fault from the limits
 //! of f32. Outputs are poisoned before a run and lie between guard words ([`Guarded`]). Every case
 //! runs under each [`Profile`], so that the variants of kernels for GPUs are checked on software drivers
-//! too. It runs twice, and both runs must give the same bits.
+//! too. It runs twice, and both runs must give the same bits. What a case covers is what it was seen to
+//! dispatch: [`Outcome::dispatched`].
+//!
+//! A family whose op is benchmarked declares it as a [`Workload`], which case and benchmark share.
 //!
 //! To add one: write `src/check/FAMILY.rs` with a `pub const CASES: &[Case]`, list it in [`ALL`],
-//! and let `tests/FAMILY.rs` call `common::run("FAMILY")`. A family whose op has gradients has a
-//! case `FAMILY/central_differences`; a case that covers a hard input of the contract is listed in
-//! [`HARD`], and one case per kernel at least in [`QUICK`].
+//! and name it in `common::cases!` in `tests/FAMILY.rs`, which makes it a test of its own. A family whose
+//! op has gradients has a case `FAMILY/central_differences`; a case that covers a hard input of the
+//! contract is listed in [`HARD`], and one case at least for each variant of each kernel in [`QUICK`].
 
 pub mod adam;
 pub mod arap;
@@ -38,22 +41,23 @@ pub mod scan;
 mod scene;
 pub mod sort;
 pub mod texel;
+mod workload;
 
 pub use contract::{HARD, QUICK};
 pub use expect::{EXPECTED, Expect, Verdict, verdict};
 pub use finding::{Bound, Finding};
 pub use harness::{Guarded, Harness};
+pub use workload::Workload;
 
 use crate::error::{Error, Result};
-use crate::gpu::{Device, Profile};
+use crate::gpu::{Device, Dispatched, Profile};
+use std::collections::BTreeSet;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 /// A check that runs on a device.
 pub struct Case {
     /// Unique identifier, `family/what`.
     pub id: &'static str,
-    /// The kernels that it covers.
-    pub kernels: &'static [&'static str],
     /// Runs the kernels and compares the outputs.
     pub run: fn(&mut Harness) -> Result<()>,
 }
@@ -92,6 +96,8 @@ pub struct Outcome {
     pub seed: u64,
     /// What was compared.
     pub findings: Vec<Finding>,
+    /// The kernels that ran, in their variants: what the case covers. Empty for a case of the host.
+    pub dispatched: BTreeSet<Dispatched>,
     /// An error that ended the case early.
     pub error: Option<Error>,
 }
@@ -108,12 +114,14 @@ impl Outcome {
 /// Runs a case on a device under the device's own profile and, if it runs kernels, under every other
 /// one. Under each it runs twice; both runs must give the same bits. A panic counts as an error.
 pub fn run(case: &Case, device: &Device, seed: u64) -> Outcome {
+    let device = &device.tracing();
     let (findings, error) = twice(case, device, seed);
-    let mut outcome = Outcome { id: case.id, seed, findings, error };
+    let dispatched = device.dispatched();
+    let mut outcome = Outcome { id: case.id, seed, findings, dispatched, error };
     let own = *device.profile();
     for profile in Profile::ALL.into_iter().filter(|&profile| profile != own) {
-        if case.kernels.is_empty() || outcome.error.is_some() {
-            break;
+        if outcome.dispatched.is_empty() || outcome.error.is_some() {
+            return outcome;
         }
         let (findings, error) = twice(case, &device.with_profile(profile), seed);
         let name = profile.name();
@@ -125,6 +133,7 @@ pub fn run(case: &Case, device: &Device, seed: u64) -> Outcome {
             Error::DeviceLost { .. } => error,
             other => Error::Failed(format!("profile {name}: {other}")),
         });
+        outcome.dispatched = device.dispatched();
     }
     outcome
 }

@@ -8,12 +8,11 @@ use rand::RngExt;
 
 /// The family's cases.
 pub const CASES: &[Case] = &[
-    Case { id: "path/random", kernels: KERNELS, run: random },
-    Case { id: "path/few_keys", kernels: KERNELS, run: few_keys },
-    Case { id: "path/ends", kernels: KERNELS, run: ends },
+    Case { id: "path/random", run: random },
+    Case { id: "path/few_keys", run: few_keys },
+    Case { id: "path/ends", run: ends },
 ];
 
-const KERNELS: &[&str] = &["path/evaluate", "path/gather"];
 /// Five times the measured error of 2.4e-6 at 25 keys. The position between keys is a rounded
 /// product; the oracle in f32 has the same error.
 const BOUND: Bound = Bound { absolute: 1.2e-5, relative: 1e-6 };

@@ -1,7 +1,7 @@
 //! Check cases of projection.
 
 use super::scene::{
-    Frame, UPRIGHT, compare_gradients, join, one, plain_camera, random, random_gradient,
+    Backward, Frame, UPRIGHT, compare_gradients, join, one, plain_camera, random, random_gradient,
     skew_camera,
 };
 use super::{Bound, Case, Harness};
@@ -19,11 +19,11 @@ use rand::RngExt;
 
 /// The family's cases.
 pub const CASES: &[Case] = &[
-    Case { id: "project/forward", kernels: &["project/forward"], run: forward },
-    Case { id: "project/degrees", kernels: &["project/forward"], run: degrees },
-    Case { id: "project/halves", kernels: &["project/forward"], run: halves },
-    Case { id: "project/decisions", kernels: &["project/forward"], run: decisions },
-    Case { id: "project/backward", kernels: &["project/backward", "project/pose"], run: backward },
+    Case { id: "project/forward", run: forward },
+    Case { id: "project/degrees", run: degrees },
+    Case { id: "project/halves", run: halves },
+    Case { id: "project/decisions", run: decisions },
+    Case { id: "project/backward", run: backward },
 ];
 
 const WIDTH: u32 = 83;
@@ -281,7 +281,8 @@ fn decisions(harness: &mut Harness) -> Result<()> {
     Ok(())
 }
 
-/// The backward pass, given the splat gradients that the device itself has summed.
+/// The backward pass, given the splat gradients that the device itself has summed; with the pose's
+/// gradient and without.
 fn backward(harness: &mut Harness) -> Result<()> {
     let camera = skew_camera(WIDTH, HEIGHT);
     let settings = RenderSettings::default();
@@ -303,16 +304,23 @@ fn backward(harness: &mut Harness) -> Result<()> {
             &super::scene::as_f32(&splats),
             &out.splats,
         );
-        // Measured: a tenth of it at most, the oracle in f32 the same.
-        compare_gradients(
-            harness,
-            &format!("degree {degree}"),
-            &out,
-            (&exact, &exact_view.twist),
-            (&single, &single_view.twist),
-            4e-6,
-            4e-5,
-        );
+        frame.with_pose = false;
+        let without = frame.backward(&mut harness.stream, &gradient)?;
+        let untouched = without.pose.iter().all(|v| v.to_bits() == u32::MAX);
+        harness.holds(&format!("degree {degree}: no pose was asked for"), untouched);
+        let without = Backward { pose: out.pose.clone(), ..without };
+        for (what, out) in [("", out), (", without the pose", without)] {
+            // Measured: a tenth of it at most, the oracle in f32 the same.
+            compare_gradients(
+                harness,
+                &format!("degree {degree}{what}"),
+                &out,
+                (&exact, &exact_view.twist),
+                (&single, &single_view.twist),
+                4e-6,
+                4e-5,
+            );
+        }
     }
     Ok(())
 }

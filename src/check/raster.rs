@@ -14,21 +14,16 @@ use crate::oracle::raster;
 use crate::types::{Camera, Gaussians, RasterKind, RenderSettings};
 use rand::RngExt;
 
-const ALL: &[&str] =
-    &["raster/forward", "raster/backward", "raster/backward_narrow", "raster/gather"];
-
-const SHARED: &[&str] = &["raster/forward_shared"];
-
 /// The family's cases.
 pub const CASES: &[Case] = &[
-    Case { id: "raster/scenes", kernels: ALL, run: scenes },
-    Case { id: "raster/image_sizes", kernels: ALL, run: image_sizes },
-    Case { id: "raster/shared_memory", kernels: SHARED, run: shared_memory },
-    Case { id: "raster/layers", kernels: ALL, run: layers },
-    Case { id: "raster/blending_constants", kernels: ALL, run: blending_constants },
-    Case { id: "raster/decisions", kernels: &["raster/forward"], run: decisions },
-    Case { id: "raster/overflow", kernels: ALL, run: overflow },
-    Case { id: "raster/determinism", kernels: ALL, run: determinism },
+    Case { id: "raster/scenes", run: scenes },
+    Case { id: "raster/image_sizes", run: image_sizes },
+    Case { id: "raster/shared_memory", run: shared_memory },
+    Case { id: "raster/layers", run: layers },
+    Case { id: "raster/blending_constants", run: blending_constants },
+    Case { id: "raster/decisions", run: decisions },
+    Case { id: "raster/overflow", run: overflow },
+    Case { id: "raster/determinism", run: determinism },
 ];
 
 /// Relative tolerance of decisions: rounding in a power of up to 6 and in a product of hundreds of

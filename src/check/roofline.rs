@@ -1,60 +1,120 @@
 //! Check cases of the kernels that measure peak bandwidth and peak arithmetic.
 
-use super::{Bound, Case, Harness};
+use super::{Bound, Case, Guarded, Harness, Workload};
 use crate::error::Result;
-use crate::gpu::Groups;
+use crate::gpu::{Buffer, Groups, Recorder};
 use crate::kernels::roofline::{
-    COPY_PER_GROUP, Copy, CopyArgs, CopyParams, Fma, FmaArgs, FmaParams,
+    COPY_PER_GROUP, Copy, CopyArgs, CopyParams, FMA_OPERATIONS, Fma, FmaArgs, FmaParams,
 };
 use crate::oracle::roofline;
+use crate::types::Work;
 use rand::RngExt;
 
 /// The family's cases.
-pub const CASES: &[Case] = &[
-    Case { id: "roofline/copy", kernels: &["roofline/copy"], run: copy },
-    Case { id: "roofline/fma", kernels: &["roofline/fma"], run: fma },
-];
+pub const CASES: &[Case] =
+    &[Case { id: "roofline/copy", run: copy }, Case { id: "roofline/fma", run: fma }];
 
-fn copy(harness: &mut Harness) -> Result<()> {
-    for count in [1usize, 63, 511, 512, 513, 10_000] {
+/// A copy of random vectors.
+pub(crate) struct CopyWorkload {
+    values: Vec<[f32; 4]>,
+    groups: Groups,
+    source: Buffer<[f32; 4]>,
+    target: Guarded<[f32; 4]>,
+}
+
+impl CopyWorkload {
+    /// Draws and uploads the vectors.
+    pub(crate) fn new(h: &mut Harness, count: usize) -> Result<CopyWorkload> {
         let values: Vec<[f32; 4]> =
-            (0..count).map(|_| std::array::from_fn(|_| harness.rng.random())).collect();
-        let source = harness.device.upload("source", &values)?;
-        let mut target = harness.output::<[f32; 4]>("target", count)?;
-        let mut recorder = harness.stream.record()?;
-        recorder.dispatch::<Copy>(
-            Groups::linear(count, COPY_PER_GROUP, harness.device.limits())?,
-            CopyParams { count: count as u32 },
-            CopyArgs { source: source.view(), target: target.view_mut() },
-        )?;
-        harness.stream.submit(recorder)?;
-        let got = harness.read(&target)?;
-        harness.exact(&format!("{count} vectors"), &got, &values);
+            (0..count).map(|_| std::array::from_fn(|_| h.rng.random())).collect();
+        Ok(CopyWorkload {
+            groups: Groups::linear(count, COPY_PER_GROUP, h.device.limits())?,
+            source: h.device.upload("source", &values)?,
+            target: h.output("target", count)?,
+            values,
+        })
+    }
+}
+
+impl Workload for CopyWorkload {
+    fn record(&mut self, recorder: &mut Recorder) -> Result<()> {
+        let params = CopyParams { count: self.values.len() as u32 };
+        let args = CopyArgs { source: self.source.view(), target: self.target.view_mut() };
+        recorder.dispatch::<Copy>(self.groups, params, args)
+    }
+
+    fn compare(&self, h: &mut Harness) -> Result<()> {
+        let device = h.read(&self.target)?;
+        h.exact("copy", &device, &self.values);
+        Ok(())
+    }
+
+    fn work(&self) -> Work {
+        Work { bytes: 32 * self.values.len() as u64, operations: 0 }
+    }
+}
+
+fn copy(h: &mut Harness) -> Result<()> {
+    for count in [1usize, 63, 511, 512, 513, 10_000] {
+        let mut workload = CopyWorkload::new(h, count)?;
+        h.execute_on(&format!("{count} vectors"), &mut workload)?;
     }
     Ok(())
 }
 
-fn fma(harness: &mut Harness) -> Result<()> {
-    for (count, rounds) in [(1usize, 0), (64, 1), (1000, 3), (129, 80)] {
-        let seeds: Vec<f32> = (0..count).map(|_| harness.rng.random_range(-2.0f32..2.0)).collect();
-        let source = harness.device.upload("seeds", &seeds)?;
-        let mut sums = harness.output::<f32>("sums", count)?;
-        let mut recorder = harness.stream.record()?;
-        recorder.dispatch::<Fma>(
-            Groups::linear(count, 64, harness.device.limits())?,
-            FmaParams { count: count as u32, rounds },
-            FmaArgs { seeds: source.view(), sums: sums.view_mut() },
-        )?;
-        harness.stream.submit(recorder)?;
-        let got = harness.read(&sums)?;
-        let wide: Vec<f64> = seeds.iter().map(|&s| f64::from(s)).collect();
-        let truth = roofline::fma(&wide, rounds);
-        let twin = roofline::fma(&seeds, rounds);
+/// Chains of multiplications and additions.
+pub(crate) struct FmaWorkload {
+    seeds: Vec<f32>,
+    rounds: u32,
+    groups: Groups,
+    source: Buffer<f32>,
+    sums: Guarded<f32>,
+}
+
+impl FmaWorkload {
+    /// Draws and uploads the seeds of the chains.
+    pub(crate) fn new(h: &mut Harness, count: usize, rounds: u32) -> Result<FmaWorkload> {
+        let seeds: Vec<f32> = (0..count).map(|_| h.rng.random_range(-2.0f32..2.0)).collect();
+        Ok(FmaWorkload {
+            rounds,
+            groups: Groups::linear(count, 64, h.device.limits())?,
+            source: h.device.upload("seeds", &seeds)?,
+            sums: h.output("sums", count)?,
+            seeds,
+        })
+    }
+}
+
+impl Workload for FmaWorkload {
+    fn record(&mut self, recorder: &mut Recorder) -> Result<()> {
+        let params = FmaParams { count: self.seeds.len() as u32, rounds: self.rounds };
+        let args = FmaArgs { seeds: self.source.view(), sums: self.sums.view_mut() };
+        recorder.dispatch::<Fma>(self.groups, params, args)
+    }
+
+    fn compare(&self, h: &mut Harness) -> Result<()> {
+        let device = h.read(&self.sums)?;
+        let wide: Vec<f64> = self.seeds.iter().map(|&s| f64::from(s)).collect();
+        // The chains have converged after a hundred rounds, so the oracle does not run them all.
+        let rounds = self.rounds.min(100);
+        let (truth, twin) = (roofline::fma(&wide, rounds), roofline::fma(&self.seeds, rounds));
         // Each step of a chain damps earlier rounding errors to three quarters; the sum adds 16
         // values of one sign.
         let bound = Bound { absolute: 0.0, relative: 1e-6 };
-        let what = format!("{count} seeds, {rounds} rounds");
-        harness.close(&what, &got, &truth, Some(&twin), bound);
+        h.close("sums", &device, &truth, Some(&twin), bound);
+        Ok(())
+    }
+
+    fn work(&self) -> Work {
+        let count = self.seeds.len() as u64;
+        Work { bytes: 8 * count, operations: FMA_OPERATIONS * u64::from(self.rounds) * count }
+    }
+}
+
+fn fma(h: &mut Harness) -> Result<()> {
+    for (count, rounds) in [(1usize, 0), (64, 1), (1000, 3), (129, 80)] {
+        let mut workload = FmaWorkload::new(h, count, rounds)?;
+        h.execute_on(&format!("{count} seeds, {rounds} rounds"), &mut workload)?;
     }
     Ok(())
 }

@@ -52,7 +52,7 @@ pub fn gradient_limits(
             let g = (gradient.rgb[at], gradient.alpha[at], gradient.depth[at]);
             if g != ([0.0; 3], 0.0, 0.0) {
                 let [begin, end] = bins.ranges[(y / 16 * bins.grid[0] + x / 16) as usize];
-                let listed = &bins.splats[begin as usize..end as usize];
+                let listed = &bins.splat_from_sorted[begin as usize..end as usize];
                 let layers = layers(splats, listed, settings, [x, y], g);
                 add_limits(splats, &layers, g, &mut out);
             }

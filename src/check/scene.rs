@@ -125,6 +125,8 @@ pub struct Frame {
     pub backward: BackwardScratch,
     /// Gradients with respect to the parameters.
     pub gradients: GaussianBuffers,
+    /// Whether the backward pass computes the pose's gradient.
+    pub with_pose: bool,
     capacity: usize,
 }
 
@@ -148,17 +150,17 @@ pub struct Forward {
     /// Whether all intersections fitted.
     pub fits: bool,
     /// Gaussian indices, sorted by depth.
-    pub order: Vec<u32>,
+    pub splat_from_rank: Vec<u32>,
     /// Index of the first intersection, by depth rank.
     pub rank_offsets: Vec<u32>,
     /// Tile by intersection, as emitted.
     pub tiles: Vec<u32>,
     /// Gaussian by intersection, as emitted.
-    pub splats: Vec<u32>,
+    pub splat_from_emitted: Vec<u32>,
     /// Tiles, sorted.
     pub sorted_tiles: Vec<u32>,
     /// Intersections, sorted.
-    pub intersections: Vec<u32>,
+    pub emitted_from_sorted: Vec<u32>,
     /// Begin and end by tile.
     pub ranges: Vec<[u32; 2]>,
     /// Premultiplied colour and alpha.
@@ -229,6 +231,7 @@ impl Frame {
             },
             backward: larger.backward_scratch(device)?,
             gradients: GaussianBuffers::new(device, n + SLACK, scene.sh_degree)?,
+            with_pose: true,
             camera: *camera,
             render,
             capacity,
@@ -248,9 +251,23 @@ impl Frame {
         poison(r, &mut [&mut s.rectangles, &mut s.ranges]);
         poison(r, &mut [&mut p.depth]);
         poison(r, &mut [&mut s.tile_counts, &mut s.visible, &mut s.compact_offsets, &mut s.keys]);
-        poison(r, &mut [&mut s.splat_ids, &mut s.sorted_keys, &mut s.order, &mut s.rank_counts]);
-        poison(r, &mut [&mut s.rank_offsets, &mut s.tiles, &mut s.emitted, &mut s.splats]);
-        poison(r, &mut [&mut s.sorted_tiles, &mut s.intersections, &mut s.counts, &mut p.last]);
+        poison(
+            r,
+            &mut [
+                &mut s.splat_from_visible,
+                &mut s.sorted_keys,
+                &mut s.splat_from_rank,
+                &mut s.rank_counts,
+            ],
+        );
+        poison(
+            r,
+            &mut [&mut s.rank_offsets, &mut s.tiles, &mut s.emitted, &mut s.splat_from_emitted],
+        );
+        poison(
+            r,
+            &mut [&mut s.sorted_tiles, &mut s.emitted_from_sorted, &mut s.counts, &mut p.last],
+        );
         poison(r, &mut [&mut s.fits]);
         self.render.forward(r, &self.camera, self.gaussians.views(), s, p)?;
         stream.submit(recorder)?;
@@ -261,7 +278,7 @@ impl Frame {
         for buffer in [&s.compact_offsets, &s.rank_counts] {
             read(stream, buffer, n)?;
         }
-        for buffer in [&s.keys, &s.splat_ids, &s.sorted_keys] {
+        for buffer in [&s.keys, &s.splat_from_visible, &s.sorted_keys] {
             read(stream, buffer, counts.visible)?;
         }
         read(stream, &s.emitted, m)?;
@@ -275,12 +292,12 @@ impl Frame {
             visible: read(stream, &s.visible, n)?,
             counts: [counts.visible as u32, counts.intersections as u32],
             fits: stream.download(&s.fits)? == [1],
-            order: read(stream, &s.order, counts.visible)?,
+            splat_from_rank: read(stream, &s.splat_from_rank, counts.visible)?,
             rank_offsets: read(stream, &s.rank_offsets, n)?,
             tiles: read(stream, &s.tiles, m)?,
-            splats: read(stream, &s.splats, m)?,
+            splat_from_emitted: read(stream, &s.splat_from_emitted, m)?,
             sorted_tiles: read(stream, &s.sorted_tiles, m)?,
-            intersections: read(stream, &s.intersections, m)?,
+            emitted_from_sorted: read(stream, &s.emitted_from_sorted, m)?,
             ranges: stream.download(&s.ranges)?,
             rgba: read(stream, &p.rgba, area)?,
             depth: read(stream, &p.depth, area)?,
@@ -315,7 +332,7 @@ impl Frame {
             &self.pixel_gradients,
             b,
             g,
-            true,
+            self.with_pose,
         )?;
         stream.submit(recorder)?;
         let n = self.gaussians.len;
@@ -324,7 +341,8 @@ impl Frame {
         read(stream, &b.slots_a, m)?;
         read(stream, &b.slots_b, m)?;
         read(stream, &b.slots_c, m)?;
-        read(stream, &b.pose_partials, 8 * n.div_ceil(64))?;
+        let partials = if self.with_pose { 8 * n.div_ceil(64) } else { 0 };
+        read(stream, &b.pose_partials, partials)?;
         read(stream, &g.positions, 3 * n)?;
         read(stream, &g.log_scales, 3 * n)?;
         read(stream, &g.rotations, n)?;
@@ -383,10 +401,12 @@ impl Forward {
     pub fn bins(&self, width: u32, height: u32) -> Bins {
         Bins {
             grid: grid(width, height),
-            order: self.order.clone(),
-            offsets: self.rank_offsets[..self.order.len()].to_vec(),
+            splat_from_rank: self.splat_from_rank.clone(),
+            offsets: self.rank_offsets[..self.splat_from_rank.len()].to_vec(),
             tiles: self.sorted_tiles.clone(),
-            splats: self.intersections.iter().map(|&at| self.splats[at as usize]).collect(),
+            splat_from_sorted: (self.emitted_from_sorted.iter())
+                .map(|&at| self.splat_from_emitted[at as usize])
+                .collect(),
             ranges: self.ranges.clone(),
         }
     }
@@ -447,7 +467,7 @@ pub fn flip_ranges(
         for x in 0..width {
             let [begin, end] = bins.ranges[(y / 16 * bins.grid[0] + x / 16) as usize];
             let (mut transmittance, mut flip_range) = (1.0, 0.0);
-            for &index in &bins.splats[begin as usize..end as usize] {
+            for &index in &bins.splat_from_sorted[begin as usize..end as usize] {
                 let Some(splat) = &splats[index as usize] else { continue };
                 let (dx, dy) =
                     (f64::from(x) + 0.5 - splat.mean[0], f64::from(y) + 0.5 - splat.mean[1]);

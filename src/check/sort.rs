@@ -1,74 +1,107 @@
 //! Check cases of the radix sort, against a stable comparison sort.
 
-use super::{Case, Harness};
+use super::{Case, Guarded, Harness, Workload};
 use crate::error::Result;
-use crate::ops::sort::{RadixSort, SortArgs};
+use crate::gpu::{Buffer, Recorder};
+use crate::ops::sort::{RadixSort, SortArgs, SortScratch};
 use crate::oracle::sort;
+use crate::types::Work;
 use rand::RngExt;
 use std::ops::Range;
 
-const KERNELS: &[&str] = &[
-    "scan/single",
-    "indirect/arguments",
-    "scan/reduce",
-    "scan/spine",
-    "scan/downsweep",
-    "sort/plan",
-    "sort/count",
-    "sort/scatter",
-];
-
 /// The family's cases.
 pub const CASES: &[Case] = &[
-    Case { id: "sort/sizes", kernels: KERNELS, run: sizes },
-    Case { id: "sort/powers_of_two", kernels: KERNELS, run: powers_of_two },
-    Case { id: "sort/bit_ranges", kernels: KERNELS, run: bit_ranges },
-    Case { id: "sort/orders", kernels: KERNELS, run: orders },
-    Case { id: "sort/count_below_capacity", kernels: KERNELS, run: count_below_capacity },
+    Case { id: "sort/sizes", run: sizes },
+    Case { id: "sort/powers_of_two", run: powers_of_two },
+    Case { id: "sort/bit_ranges", run: bit_ranges },
+    Case { id: "sort/orders", run: orders },
+    Case { id: "sort/count_below_capacity", run: count_below_capacity },
 ];
 
-/// Sorts `count` of the pairs (key, index) and compares; the elements after them must stay
-/// unchanged.
+/// A sort of `count` of the pairs (key, index); the elements after them must stay unchanged.
+pub(crate) struct SortWorkload {
+    keys: Vec<u32>,
+    payload: Vec<u32>,
+    count: usize,
+    bits: Range<u32>,
+    op: RadixSort,
+    scratch: SortScratch,
+    counts: Buffer<u32>,
+    key_buffer: Buffer<u32>,
+    payload_buffer: Buffer<u32>,
+    sorted_keys: Guarded<u32>,
+    sorted_payload: Guarded<u32>,
+}
+
+impl SortWorkload {
+    /// Uploads the pairs.
+    pub(crate) fn new(
+        h: &mut Harness,
+        keys: Vec<u32>,
+        count: usize,
+        bits: Range<u32>,
+    ) -> Result<SortWorkload> {
+        let op = RadixSort::plan(&h.device, keys.len(), bits.clone())?;
+        let payload: Vec<u32> = (0..keys.len() as u32).collect();
+        Ok(SortWorkload {
+            scratch: op.scratch(&h.device)?,
+            op,
+            counts: h.device.upload("count", &[7, count as u32])?,
+            key_buffer: h.device.upload("keys", &keys)?,
+            payload_buffer: h.device.upload("payload", &payload)?,
+            sorted_keys: h.output("sorted keys", keys.len())?,
+            sorted_payload: h.output("sorted payload", keys.len())?,
+            keys,
+            payload,
+            count,
+            bits,
+        })
+    }
+}
+
+impl Workload for SortWorkload {
+    fn record(&mut self, recorder: &mut Recorder) -> Result<()> {
+        let args = SortArgs {
+            count: self.counts.view(),
+            count_at: 1,
+            keys: self.key_buffer.view(),
+            payload: self.payload_buffer.view(),
+            sorted_keys: self.sorted_keys.view_mut(),
+            sorted_payload: self.sorted_payload.view_mut(),
+        };
+        self.op.record(recorder, args, &mut self.scratch)
+    }
+
+    fn compare(&self, h: &mut Harness) -> Result<()> {
+        let sorted = self.count.min(self.keys.len());
+        let (mut keys, mut payload) =
+            sort::by_bits(&self.keys[..sorted], &self.payload[..sorted], self.bits.clone());
+        keys.resize(self.keys.len(), u32::MAX);
+        payload.resize(self.keys.len(), u32::MAX);
+        let device = (h.read(&self.sorted_keys)?, h.read(&self.sorted_payload)?);
+        h.exact("keys", &device.0, &keys);
+        h.exact("payload", &device.1, &payload);
+        let input = h.stream.download(&self.key_buffer)?;
+        h.exact("input", &input, &self.keys);
+        Ok(())
+    }
+
+    /// Each pass of 8 bits reads the keys to count them, and reads and writes the pairs to scatter them.
+    fn work(&self) -> Work {
+        let keys = (self.bits.len().div_ceil(8) * self.keys.len()) as u64;
+        Work { bytes: 20 * keys, operations: 2 * keys }
+    }
+}
+
 fn compare(
-    harness: &mut Harness,
+    h: &mut Harness,
     what: &str,
     keys: &[u32],
     count: usize,
     bits: Range<u32>,
 ) -> Result<()> {
-    let capacity = keys.len();
-    let op = RadixSort::plan(&harness.device, capacity, bits.clone())?;
-    let payload: Vec<u32> = (0..capacity as u32).collect();
-    let counts = harness.device.upload("count", &[7, count as u32])?;
-    let input = (harness.device.upload("keys", keys)?, harness.device.upload("payload", &payload)?);
-    let mut sorted_keys = harness.output::<u32>("sorted keys", capacity)?;
-    let mut sorted_payload = harness.output::<u32>("sorted payload", capacity)?;
-    let mut scratch = op.scratch(&harness.device)?;
-    let mut recorder = harness.stream.record()?;
-    op.record(
-        &mut recorder,
-        SortArgs {
-            count: counts.view(),
-            count_at: 1,
-            keys: input.0.view(),
-            payload: input.1.view(),
-            sorted_keys: sorted_keys.view_mut(),
-            sorted_payload: sorted_payload.view_mut(),
-        },
-        &mut scratch,
-    )?;
-    harness.stream.submit(recorder)?;
-    let sorted = count.min(capacity);
-    let mut truth = sort::by_bits(&keys[..sorted], &payload[..sorted], bits);
-    truth.0.resize(capacity, u32::MAX);
-    truth.1.resize(capacity, u32::MAX);
-    let (sorted_keys, sorted_payload) =
-        (harness.read(&sorted_keys)?, harness.read(&sorted_payload)?);
-    harness.exact(&format!("{what}: keys"), &sorted_keys, &truth.0);
-    harness.exact(&format!("{what}: payload"), &sorted_payload, &truth.1);
-    let input = harness.stream.download(&input.0)?;
-    harness.exact(&format!("{what}: input"), &input, keys);
-    Ok(())
+    let mut workload = SortWorkload::new(h, keys.to_vec(), count, bits)?;
+    h.execute_on(what, &mut workload)
 }
 
 fn random(harness: &mut Harness, n: usize) -> Vec<u32> {

@@ -7,10 +7,8 @@ use crate::oracle::texel as oracle;
 use rand::RngExt;
 
 /// The family's cases.
-pub const CASES: &[Case] = &[
-    Case { id: "texel/unorm8", kernels: &["texel/unorm8"], run: unorm8 },
-    Case { id: "texel/half", kernels: &["texel/half"], run: half },
-];
+pub const CASES: &[Case] =
+    &[Case { id: "texel/unorm8", run: unorm8 }, Case { id: "texel/half", run: half }];
 
 /// Backgrounds: empty, opaque and translucent.
 const BEHIND: [[f32; 4]; 3] = [[0.0; 4], [0.2, 0.9, 0.4, 1.0], [0.1, 0.0, 0.3, 0.35]];

@@ -38,6 +38,11 @@ impl Row {
         self.verdict.is_fine()
     }
 
+    /// Whether the case passed and ran no kernel, so that another device gives the same result.
+    pub fn is_of_host(&self) -> bool {
+        self.outcome.dispatched.is_empty() && self.outcome.passed()
+    }
+
     fn result(&self) -> (&'static str, Option<&str>) {
         match &self.verdict {
             Verdict::Passed => ("passed", None),

@@ -12,7 +12,7 @@ use crate::vk::{
     RawBuffer, Residence,
 };
 use bytemuck::Pod;
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 use std::sync::{Arc, Mutex, MutexGuard};
 
 /// Which device to open.
@@ -90,16 +90,48 @@ pub(crate) struct DeviceInner {
     modules: HashMap<&'static str, Vec<u8>>,
     /// Shared by devices that differ only in the profile.
     pipelines: Arc<Pipelines>,
+    /// What was dispatched; `None` except while a check case runs.
+    trace: Option<Arc<Mutex<BTreeSet<Dispatched>>>>,
     /// Recording resources of finished recordings into a host's command buffers, kept for reuse.
     spare: Mutex<Vec<Work>>,
     /// `None` while the meter is off.
     meter: Mutex<Option<Meter>>,
 }
 
+/// A kernel, in the variant that a device of some profile dispatched.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Dispatched {
+    /// The kernel's name.
+    pub kernel: &'static str,
+    /// Its specialisation constants, in the order of their ids, as
+    /// [`ConstantValue::word`](super::ConstantValue::word) gives them.
+    pub constants: Vec<u32>,
+    /// The name of the profile.
+    pub profile: &'static str,
+}
+
 /// A kernel's pipeline with its specialisation constants.
 type Variant = (Vec<u32>, Arc<Pipeline>);
 /// The variants by kernel name.
 type Pipelines = Mutex<HashMap<&'static str, Vec<Variant>>>;
+
+impl DeviceInner {
+    fn new(context: Arc<Context>) -> DeviceInner {
+        let (limits, profile) = (context.limits, Profile::of(context.info.kind));
+        let ledger = context.ledger.clone();
+        let (modules, pipelines, trace, spare, meter) = Default::default();
+        DeviceInner { context, limits, profile, ledger, modules, pipelines, trace, spare, meter }
+    }
+
+    /// The same, without the resources and the meter of its recordings.
+    fn like(&self) -> DeviceInner {
+        let DeviceInner { limits, profile, .. } = *self;
+        let (context, ledger) = (self.context.clone(), self.ledger.clone());
+        let (modules, pipelines) = (self.modules.clone(), self.pipelines.clone());
+        let (trace, (spare, meter)) = (self.trace.clone(), Default::default());
+        DeviceInner { context, limits, profile, ledger, modules, pipelines, trace, spare, meter }
+    }
+}
 
 impl Device {
     /// Opens a device.
@@ -116,51 +148,59 @@ impl Device {
         let context = Arc::new(Context::open(instance, physical, info)?);
         let limits = request.limits.unwrap_or(context.limits);
         let profile = request.profile.unwrap_or(Profile::of(context.info.kind));
-        Ok(Device::over(context, limits, profile, HashMap::new(), Arc::default()))
+        Ok(Device::of(DeviceInner { limits, profile, ..DeviceInner::new(context) }))
+    }
+
+    fn of(inner: DeviceInner) -> Device {
+        Device { inner: Arc::new(inner) }
     }
 
     /// A device that a host has created.
     pub(crate) fn adopted(context: Arc<Context>) -> Device {
-        let (limits, profile) = (context.limits, Profile::of(context.info.kind));
-        Device::over(context, limits, profile, HashMap::new(), Arc::default())
-    }
-
-    fn over(
-        context: Arc<Context>,
-        limits: Limits,
-        profile: Profile,
-        modules: HashMap<&'static str, Vec<u8>>,
-        pipelines: Arc<Pipelines>,
-    ) -> Device {
-        let (spare, meter) = Default::default();
-        let ledger = context.ledger.clone();
-        let inner =
-            DeviceInner { context, limits, profile, ledger, modules, pipelines, spare, meter };
-        Device { inner: Arc::new(inner) }
+        Device::of(DeviceInner::new(context))
     }
 
     /// The same device with different limits; for tests of boundary cases. Streams and buffers of
     /// both can be used together.
     pub fn with_limits(&self, limits: Limits) -> Device {
-        let DeviceInner { context, profile, modules, .. } = &*self.inner;
-        Device::over(context.clone(), limits, *profile, modules.clone(), Arc::default())
+        Device::of(DeviceInner { limits, pipelines: Arc::default(), ..self.inner.like() })
     }
 
     /// The same device with another profile; for tests of the variants of kernels that another kind of
     /// device runs. Both share streams, buffers and pipelines, but an op needs a scratch of its own
     /// profile.
     pub fn with_profile(&self, profile: Profile) -> Device {
-        let DeviceInner { context, limits, modules, pipelines, .. } = &*self.inner;
-        Device::over(context.clone(), *limits, profile, modules.clone(), pipelines.clone())
+        Device::of(DeviceInner { profile, ..self.inner.like() })
     }
 
     /// The same device with another SPIR-V module for one kernel. `Device::with_module` in `embed`
     /// states what the module must satisfy.
     pub(crate) fn replacing(&self, kernel: &'static str, spirv: Vec<u8>) -> Device {
-        let mut modules = self.inner.modules.clone();
-        modules.insert(kernel, spirv);
-        let DeviceInner { context, limits, profile, .. } = &*self.inner;
-        Device::over(context.clone(), *limits, *profile, modules, Arc::default())
+        let mut inner = DeviceInner { pipelines: Arc::default(), ..self.inner.like() };
+        inner.modules.insert(kernel, spirv);
+        Device::of(inner)
+    }
+
+    /// The same device, which remembers what it dispatches, and so do the devices made from it.
+    #[cfg(feature = "check")]
+    pub(crate) fn tracing(&self) -> Device {
+        Device::of(DeviceInner { trace: Some(Arc::default()), ..self.inner.like() })
+    }
+
+    /// The kernels and variants dispatched so far; empty unless the device is tracing.
+    #[cfg(feature = "check")]
+    pub(crate) fn dispatched(&self) -> BTreeSet<Dispatched> {
+        let trace = self.inner.trace.as_ref();
+        trace.map(|trace| trace.lock().expect("no holder panics").clone()).unwrap_or_default()
+    }
+
+    /// Adds a dispatch to the trace, if there is one.
+    pub(super) fn trace(&self, kernel: &'static str, constants: &[u32]) {
+        if let Some(trace) = &self.inner.trace {
+            let (constants, profile) = (constants.to_vec(), self.inner.profile.name());
+            let dispatched = Dispatched { kernel, constants, profile };
+            trace.lock().expect("no holder panics").insert(dispatched);
+        }
     }
 
     /// The driver's description of the device.
@@ -234,12 +274,7 @@ impl Device {
     /// The same device for a rehearsal: buffers are counted but get no memory, dispatches are
     /// checked but not recorded, and downloads return zeros.
     pub(super) fn rehearsing(&self) -> Device {
-        let DeviceInner { context, limits, profile, .. } = &*self.inner;
-        let (pipelines, spare, meter, ledger, modules) = Default::default();
-        let (context, limits, profile) = (context.clone(), *limits, *profile);
-        let inner =
-            DeviceInner { context, limits, profile, ledger, modules, pipelines, spare, meter };
-        Device { inner: Arc::new(inner) }
+        Device::of(DeviceInner { ledger: Arc::default(), ..self.inner.like() })
     }
 
     /// Whether this device is a rehearsal device.

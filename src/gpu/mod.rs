@@ -27,7 +27,7 @@ mod rehearsal;
 mod stream;
 
 pub use buffer::{Buffer, Readback, View, ViewMut};
-pub use device::{Device, Request, Selector};
+pub use device::{Device, Dispatched, Request, Selector};
 pub(crate) use kernel::kernel;
 pub use kernel::{
     Access, Argument, Binding, ConstantInfo, ConstantValue, Constants, Groups, Kernel, KernelInfo,

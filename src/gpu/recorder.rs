@@ -359,7 +359,9 @@ impl Recorder {
         if self.device.is_rehearsing() {
             return Ok(false);
         }
-        let pipeline = self.device.pipeline::<K>(constants.words().as_ref())?;
+        let constants = constants.words();
+        let pipeline = self.device.pipeline::<K>(constants.as_ref())?;
+        self.device.trace(K::NAME, constants.as_ref());
         let bound = ranges
             .iter()
             .zip(K::BINDINGS)

@@ -51,10 +51,10 @@ kernel! {
         second_at: u32,
     },
     args: GatherArgs {
-        /// Begin of each control point's range in `places`, and the end of the last.
+        /// Begin of each control point's range in `place_from_sorted`, and the end of the last.
         starts: Read<u32>,
         /// Places, ordered by control point.
-        places: Read<u32>,
+        place_from_sorted: Read<u32>,
         /// As [`Fit`] writes them.
         edge_gradients: Read<[f32; 4]>,
         /// Gradient with respect to the motions; the translations' part is accumulated.

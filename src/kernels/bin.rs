@@ -19,7 +19,7 @@ kernel! {
         /// The bits of the depth as an unsigned integer.
         keys: Write<u32>,
         /// Index of the Gaussian.
-        splats: Write<u32>,
+        splat_from_visible: Write<u32>,
     }
 }
 
@@ -34,7 +34,7 @@ kernel! {
         /// Number of visible Gaussians.
         visible_count: Read<u32>,
         /// Visible Gaussians, sorted by depth.
-        order: Read<u32>,
+        splat_from_rank: Read<u32>,
         /// Number of tiles of each Gaussian.
         tile_counts: Read<u32>,
         /// Number of tiles of each Gaussian, by depth rank; 0 past the last.
@@ -63,7 +63,7 @@ kernel! {
         /// Number of visible Gaussians.
         visible_count: Read<u32>,
         /// Visible Gaussians, sorted by depth.
-        order: Read<u32>,
+        splat_from_rank: Read<u32>,
         /// Number of tiles of each Gaussian, by depth rank.
         counts: Read<u32>,
         /// Exclusive sums of `counts`.
@@ -76,10 +76,10 @@ kernel! {
         conics: Read<[f32; 4]>,
         /// Tile of each intersection.
         tiles: Write<u32>,
-        /// The index of the intersection in emission order.
-        intersections: Write<u32>,
+        /// The index of each intersection, in the order in which they are emitted.
+        emitted: Write<u32>,
         /// Gaussian of each intersection.
-        splats: Write<u32>,
+        splat_from_emitted: Write<u32>,
         /// Number of intersections. On input, the sum of `counts` modulo 2³²; set to 2³² − 1 where the
         /// sum overflowed.
         total: ReadWrite<u32>,

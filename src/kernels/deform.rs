@@ -82,7 +82,7 @@ kernel! {
     },
     args: SkinArgs {
         /// Indices of the dynamic Gaussians.
-        dynamic_ids: Read<u32>,
+        gaussian_from_dynamic: Read<u32>,
         /// Their control points.
         neighbours: Read<u32>,
         /// Canonical centres.
@@ -128,7 +128,7 @@ kernel! {
     },
     args: SkinBackwardArgs {
         /// Indices of the dynamic Gaussians.
-        dynamic_ids: Read<u32>,
+        gaussian_from_dynamic: Read<u32>,
         /// Their control points.
         neighbours: Read<u32>,
         /// Canonical centres.
@@ -168,10 +168,10 @@ kernel! {
         accumulate: u32,
     },
     args: GatherArgs {
-        /// Begin of each control point's range in `places`, and the end of the last.
+        /// Begin of each control point's range in `place_from_sorted`, and the end of the last.
         starts: Read<u32>,
         /// Places, ordered by control point.
-        places: Read<u32>,
+        place_from_sorted: Read<u32>,
         /// As [`SkinBackward`] writes them.
         contributions: Read<[f32; 4]>,
         /// Motions of the control points.

@@ -24,12 +24,12 @@ kernel! {
         transmittance_stop: f32,
     },
     args: ForwardArgs {
-        /// Begin and end of each tile's range in `intersections`.
+        /// Begin and end of each tile's range in `emitted_from_sorted`.
         ranges: Read<[u32; 2]>,
         /// Intersections, sorted by tile.
-        intersections: Read<u32>,
+        emitted_from_sorted: Read<u32>,
         /// Gaussian of each intersection.
-        splats: Read<u32>,
+        splat_from_emitted: Read<u32>,
         /// From `project/forward`.
         means: Read<[f32; 4]>,
         /// From `project/forward`.
@@ -74,12 +74,12 @@ kernel! {
         alpha_cap: f32,
     },
     args: BackwardArgs {
-        /// Begin and end of each tile's range in `intersections`.
+        /// Begin and end of each tile's range in `emitted_from_sorted`.
         ranges: Read<[u32; 2]>,
         /// Intersections, sorted by tile.
-        intersections: Read<u32>,
+        emitted_from_sorted: Read<u32>,
         /// Gaussian of each intersection.
-        splats: Read<u32>,
+        splat_from_emitted: Read<u32>,
         /// From `project/forward`.
         means: Read<[f32; 4]>,
         /// From `project/forward`.
@@ -128,7 +128,7 @@ kernel! {
         /// Number of visible Gaussians.
         visible_count: Read<u32>,
         /// Visible Gaussians, sorted by depth.
-        order: Read<u32>,
+        splat_from_rank: Read<u32>,
         /// Number of tiles of each Gaussian, by depth rank.
         counts: Read<u32>,
         /// Exclusive sums of `counts`.

@@ -157,7 +157,7 @@ impl Arap {
             kernels::GatherParams { node_count: count as u32, k, first_at, second_at },
             kernels::GatherArgs {
                 starts: self.neighbours.starts(),
-                places: self.neighbours.places(),
+                place_from_sorted: self.neighbours.place_from_sorted(),
                 edge_gradients: self.edge_gradients.view(),
                 transform_gradients: args.transform_gradients,
             },

@@ -24,7 +24,7 @@ pub struct SoftMotion<'a> {
 #[derive(Clone, Copy)]
 pub struct SkinArgs<'a> {
     /// Indices of the dynamic Gaussians, as many as [`Skin::refresh`] was given.
-    pub dynamic_ids: View<'a, u32>,
+    pub gaussian_from_dynamic: View<'a, u32>,
     /// Canonical centres of all Gaussians, three values each, world frame.
     pub positions: View<'a, f32>,
     /// Canonical quaternions (w, x, y, z) of all Gaussians, any norm.
@@ -83,20 +83,20 @@ pub struct SkinGradients<'a> {
 /// use splat4d::gpu::{Buffer, Device, Recorder};
 /// use splat4d::ops::deform::{Skin, SkinArgs, Skinned};
 /// # fn skin(
-/// #     device: &Device, recorder: &mut Recorder, dynamic_ids: &Buffer<u32>, positions: &Buffer<f32>,
-/// #     rotations: &Buffer<[f32; 4]>, opacity_logits: &Buffer<f32>, nodes: &Buffer<f32>,
-/// #     log_radii: &Buffer<f32>, transforms: &Buffer<[f32; 4]>,
+/// #     device: &Device, recorder: &mut Recorder, gaussian_from_dynamic: &Buffer<u32>,
+/// #     positions: &Buffer<f32>, rotations: &Buffer<[f32; 4]>, opacity_logits: &Buffer<f32>,
+/// #     nodes: &Buffer<f32>, log_radii: &Buffer<f32>, transforms: &Buffer<[f32; 4]>,
 /// # ) -> splat4d::Result<()> {
 /// // Each dynamic Gaussian follows the 4 control points nearest to it.
-/// let mut skin = Skin::new(device, 4, dynamic_ids.len(), log_radii.len())?;
-/// skin.refresh(recorder, dynamic_ids.view(), positions.view(), nodes.view())?;
+/// let mut skin = Skin::new(device, 4, gaussian_from_dynamic.len(), log_radii.len())?;
+/// skin.refresh(recorder, gaussian_from_dynamic.view(), positions.view(), nodes.view())?;
 ///
 /// let mut moved = device.buffer("moved positions", positions.len())?;
 /// let mut turned = device.buffer("moved rotations", rotations.len())?;
 /// let mut faded = device.buffer("faded opacities", opacity_logits.len())?;
-/// let mut rigidity = device.buffer("rigidity", dynamic_ids.len())?;
+/// let mut rigidity = device.buffer("rigidity", gaussian_from_dynamic.len())?;
 /// let args = SkinArgs {
-///     dynamic_ids: dynamic_ids.view(),
+///     gaussian_from_dynamic: gaussian_from_dynamic.view(),
 ///     positions: positions.view(),
 ///     rotations: rotations.view(),
 ///     opacity_logits: opacity_logits.view(),
@@ -148,11 +148,11 @@ impl Skin {
     pub fn refresh(
         &mut self,
         recorder: &mut Recorder,
-        dynamic_ids: View<'_, u32>,
+        gaussian_from_dynamic: View<'_, u32>,
         positions: View<'_, f32>,
         nodes: View<'_, f32>,
     ) -> Result<()> {
-        self.neighbours.refresh(recorder, Some(dynamic_ids), positions, nodes)
+        self.neighbours.refresh(recorder, Some(gaussian_from_dynamic), positions, nodes)
     }
 
     /// The neighbour lists of the dynamic Gaussians, for restoring a saved state.
@@ -167,7 +167,7 @@ impl Skin {
 
     fn check(&self, args: &SkinArgs<'_>) -> Result<()> {
         let (nodes, count) = (self.neighbours.node_count(), args.rotations.len());
-        equal("dynamic_ids", self.neighbours.rows(), args.dynamic_ids.len())?;
+        equal("gaussian_from_dynamic", self.neighbours.rows(), args.gaussian_from_dynamic.len())?;
         equal("positions", 3 * count, args.positions.len())?;
         equal("opacity_logits", count, args.opacity_logits.len())?;
         equal("nodes", 3 * nodes, args.nodes.len())?;
@@ -200,7 +200,7 @@ impl Skin {
         equal("moved positions", args.positions.len(), out.positions.len())?;
         equal("moved rotations", args.rotations.len(), out.rotations.len())?;
         equal("moved opacities", args.opacity_logits.len(), out.opacity_logits.len())?;
-        equal("rigidity", args.dynamic_ids.len(), out.rigidity.len())?;
+        equal("rigidity", args.gaussian_from_dynamic.len(), out.rigidity.len())?;
         recorder.copy(args.positions, out.positions.reborrow());
         recorder.copy(args.rotations, out.rotations.reborrow());
         recorder.copy(args.opacity_logits, out.opacity_logits.reborrow());
@@ -216,7 +216,7 @@ impl Skin {
                 soft: u32::from(args.soft.is_some()),
             },
             kernels::SkinArgs {
-                dynamic_ids: args.dynamic_ids,
+                gaussian_from_dynamic: args.gaussian_from_dynamic,
                 neighbours: self.neighbours.neighbours(),
                 positions: args.positions,
                 rotations: args.rotations,
@@ -268,7 +268,7 @@ impl Skin {
                 rigid_scale: gradients.rigid_scale,
             },
             kernels::SkinBackwardArgs {
-                dynamic_ids: args.dynamic_ids,
+                gaussian_from_dynamic: args.gaussian_from_dynamic,
                 neighbours: self.neighbours.neighbours(),
                 positions: args.positions,
                 rotations: args.rotations,
@@ -292,7 +292,7 @@ impl Skin {
             },
             kernels::GatherArgs {
                 starts: self.neighbours.starts(),
-                places: self.neighbours.places(),
+                place_from_sorted: self.neighbours.place_from_sorted(),
                 contributions: self.contributions.view(),
                 transforms: args.transforms,
                 transform_gradients: gradients.transforms.reborrow(),

@@ -42,8 +42,8 @@ pub struct Motion {
     /// Skinning.
     pub skin: Skin,
     /// Indices of the dynamic Gaussians.
-    pub dynamic_ids: Buffer<u32>,
-    /// Number of entries of `dynamic_ids` in use.
+    pub gaussian_from_dynamic: Buffer<u32>,
+    /// Number of entries of `gaussian_from_dynamic` in use.
     pub dynamic: usize,
     times: Buffer<f32>,
     positions: Buffer<f32>,
@@ -106,7 +106,7 @@ impl Motion {
             log_radii: device.upload("control radii", &points.log_radii)?,
             transforms: device.buffer("control transforms", 2 * rows)?,
             skin: Skin::new(&device, neighbours, gaussians, points.len())?,
-            dynamic_ids: device.buffer("dynamic Gaussians", gaussians)?,
+            gaussian_from_dynamic: device.buffer("dynamic Gaussians", gaussians)?,
             dynamic: 0,
             times: device.buffer("times", times)?,
             positions: device.buffer("moved positions", 3 * gaussians)?,
@@ -127,7 +127,7 @@ impl Motion {
         }
         let (k, nodes) = (self.skin.neighbours().k(), self.log_radii.len());
         self.skin = Skin::new(device, k, gaussians, nodes)?;
-        self.dynamic_ids = device.buffer("dynamic Gaussians", gaussians)?;
+        self.gaussian_from_dynamic = device.buffer("dynamic Gaussians", gaussians)?;
         self.dynamic = 0;
         self.positions = device.buffer("moved positions", 3 * gaussians)?;
         self.rotations = device.buffer("moved rotations", gaussians)?;
@@ -149,7 +149,7 @@ impl Motion {
     ) -> Result<()> {
         let ids: Vec<u32> =
             (0..).zip(motion_logits).filter(|(_, m)| **m > least).map(|(i, _)| i).collect();
-        stream.upload(&mut self.dynamic_ids, &ids)?;
+        stream.upload(&mut self.gaussian_from_dynamic, &ids)?;
         self.dynamic = ids.len();
         Ok(())
     }
@@ -161,7 +161,7 @@ impl Motion {
     /// # Errors
     /// As for [`Recorder::dispatch`].
     pub fn refresh(&mut self, recorder: &mut Recorder, positions: View<'_, f32>) -> Result<()> {
-        let ids = self.dynamic_ids.range(0..self.dynamic);
+        let ids = self.gaussian_from_dynamic.range(0..self.dynamic);
         self.skin.refresh(recorder, ids, positions, self.nodes.view())
     }
 
@@ -196,7 +196,7 @@ impl Motion {
         self.skin.forward(
             recorder,
             skin_args(
-                &self.dynamic_ids,
+                &self.gaussian_from_dynamic,
                 self.dynamic,
                 &self.nodes,
                 &self.log_radii,
@@ -231,7 +231,7 @@ impl Motion {
     ) -> Result<()> {
         let n = gaussians.len;
         let args = skin_args(
-            &self.dynamic_ids,
+            &self.gaussian_from_dynamic,
             self.dynamic,
             &self.nodes,
             &self.log_radii,
@@ -305,7 +305,7 @@ impl Motion {
 }
 
 fn skin_args<'a>(
-    dynamic_ids: &'a Buffer<u32>,
+    gaussian_from_dynamic: &'a Buffer<u32>,
     dynamic: usize,
     nodes: &'a Buffer<f32>,
     log_radii: &'a Buffer<f32>,
@@ -314,7 +314,7 @@ fn skin_args<'a>(
     soft: Option<SoftMotion<'a>>,
 ) -> SkinArgs<'a> {
     SkinArgs {
-        dynamic_ids: dynamic_ids.range(0..dynamic),
+        gaussian_from_dynamic: gaussian_from_dynamic.range(0..dynamic),
         positions: gaussians.positions,
         rotations: gaussians.rotations,
         opacity_logits: gaussians.opacity_logits,

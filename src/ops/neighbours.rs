@@ -15,7 +15,8 @@ pub const MOST_NEIGHBOURS: usize = 16;
 ///
 /// The neighbours of point `r` are `neighbours[r·k + s]`, nearest first; `u32::MAX` fills the places
 /// without a further control point. The places that name control point `n` are
-/// `places[starts[n]..starts[n+1]]`, in ascending order, so that sums over them have a fixed order.
+/// `place_from_sorted[starts[n]..starts[n+1]]`, in ascending order, so that sums over them have a fixed
+/// order.
 pub struct Neighbours {
     k: usize,
     capacity: usize,
@@ -24,7 +25,7 @@ pub struct Neighbours {
     node_count: usize,
     neighbours: Buffer<u32>,
     starts: Buffer<u32>,
-    places: Buffer<u32>,
+    place_from_sorted: Buffer<u32>,
     sort: RadixSort,
     scratch: SortScratch,
     count: Buffer<u32>,
@@ -60,7 +61,7 @@ impl Neighbours {
             node_count: 0,
             neighbours: device.buffer("neighbours", places)?,
             starts: device.buffer("neighbour starts", node_capacity + 1)?,
-            places: device.buffer("neighbour places", places)?,
+            place_from_sorted: device.buffer("neighbour places", places)?,
             scratch: sort.scratch(device)?,
             sort,
             count: device.buffer("neighbour count", 1)?,
@@ -170,7 +171,7 @@ impl Neighbours {
                 keys: self.keys.view(),
                 payload: self.unsorted.view(),
                 sorted_keys: self.sorted_keys.view_mut(),
-                sorted_payload: self.places.view_mut(),
+                sorted_payload: self.place_from_sorted.view_mut(),
             },
             &mut self.scratch,
         )?;
@@ -201,13 +202,13 @@ impl Neighbours {
         self.neighbours.range(0..self.rows * self.k)
     }
 
-    /// The begin of each control point's range in [`places`](Self::places), and the end of the last.
+    /// The begin of each control point's range in [`place_from_sorted`](Self::place_from_sorted), and the end of the last.
     pub fn starts(&self) -> View<'_, u32> {
         self.starts.range(0..self.node_count + 1)
     }
 
     /// Places ordered by control point; empty places come last.
-    pub fn places(&self) -> View<'_, u32> {
-        self.places.range(0..self.rows * self.k)
+    pub fn place_from_sorted(&self) -> View<'_, u32> {
+        self.place_from_sorted.range(0..self.rows * self.k)
     }
 }

@@ -11,13 +11,13 @@ pub struct Bins {
     /// Number of tiles along x and y.
     pub grid: [u32; 2],
     /// The drawn splats by (depth, index).
-    pub order: Vec<u32>,
-    /// Index of the first pair of each splat of `order`, before the pairs are sorted by tile.
+    pub splat_from_rank: Vec<u32>,
+    /// Index of the first pair of each splat of `splat_from_rank`, before the pairs are sorted by tile.
     pub offsets: Vec<u32>,
     /// Tile of each pair, ascending: row · columns + column.
     pub tiles: Vec<u32>,
     /// Splat of each pair; within a tile front to back.
-    pub splats: Vec<u32>,
+    pub splat_from_sorted: Vec<u32>,
     /// Per tile, begin and end of its pairs; `[0, 0]` for a tile without any.
     pub ranges: Vec<[u32; 2]>,
 }
@@ -36,18 +36,18 @@ pub fn bin<R: Real>(
         (0..splats.len() as u32).filter(|&i| splats[i as usize].is_some()).collect();
     let at = |i: u32| splats[i as usize].as_ref().expect("only drawn splats are listed");
     let keys: Vec<u32> = drawn.iter().map(|&i| (at(i).depth.f64() as f32).to_bits()).collect();
-    let (_, order) = sort::by_bits(&keys, &drawn, 0..32);
+    let (_, splat_from_rank) = sort::by_bits(&keys, &drawn, 0..32);
 
-    let counts: Vec<u32> = order.iter().map(|&i| at(i).tile_count).collect();
+    let counts: Vec<u32> = splat_from_rank.iter().map(|&i| at(i).tile_count).collect();
     let offsets = scan::exclusive(&counts);
     let (mut tiles, mut owners) = (Vec::new(), Vec::new());
-    for &i in &order {
+    for &i in &splat_from_rank {
         for [column, row] in at(i).tiles(settings, width, height) {
             tiles.push(row * grid[0] + column);
             owners.push(i);
         }
     }
-    let (tiles, splats) = sort::by_bits(&tiles, &owners, 0..32);
+    let (tiles, splat_from_sorted) = sort::by_bits(&tiles, &owners, 0..32);
     let mut ranges = vec![[0, 0]; grid[0] as usize * grid[1] as usize];
     for (pair, &tile) in tiles.iter().enumerate() {
         let range = &mut ranges[tile as usize];
@@ -56,7 +56,7 @@ pub fn bin<R: Real>(
         }
         range[1] = pair as u32 + 1;
     }
-    Bins { grid, order, offsets, tiles, splats, ranges }
+    Bins { grid, splat_from_rank, offsets, tiles, splat_from_sorted, ranges }
 }
 
 #[cfg(test)]
@@ -102,10 +102,10 @@ mod tests {
         ];
         let bins = bin(&splats, &SETTINGS, size[0], size[1]);
         assert_eq!(bins.grid, [3, 2]);
-        assert_eq!(bins.order, [4, 2, 3, 0]);
+        assert_eq!(bins.splat_from_rank, [4, 2, 3, 0]);
         assert_eq!(bins.offsets, [0, 1, 3, 4]);
         assert_eq!(bins.tiles, [0, 0, 0, 1, 5]);
-        assert_eq!(bins.splats, [2, 3, 0, 2, 4]);
+        assert_eq!(bins.splat_from_sorted, [2, 3, 0, 2, 4]);
         assert_eq!(bins.ranges, [[0, 3], [3, 4], [0, 0], [0, 0], [0, 0], [4, 5]]);
     }
 
@@ -116,15 +116,15 @@ mod tests {
             vec![round([4111.5, 4111.5], 1.0, 1.0, size), round([2056.0, 2056.0], 1e12, 2.0, size)];
         let bins = bin(&splats, &SETTINGS, size[0], size[1]);
         assert_eq!(bins.ranges.len(), 257 * 257);
-        assert_eq!(bins.splats.len(), 257 * 257 + 1);
+        assert_eq!(bins.splat_from_sorted.len(), 257 * 257 + 1);
         assert_eq!(bins.ranges[257 * 257 - 1], [257 * 257 - 1, 257 * 257 + 1]);
-        assert_eq!(bins.splats[257 * 257 - 1..], [0, 1]);
+        assert_eq!(bins.splat_from_sorted[257 * 257 - 1..], [0, 1]);
     }
 
     #[test]
     fn nothing_to_draw() {
         let bins = bin::<f64>(&[None, None], &SETTINGS, 17, 3);
-        assert!(bins.order.is_empty() && bins.tiles.is_empty());
+        assert!(bins.splat_from_rank.is_empty() && bins.tiles.is_empty());
         assert_eq!(bins.ranges, [[0, 0], [0, 0]]);
     }
 }

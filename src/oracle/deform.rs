@@ -112,8 +112,8 @@ pub struct Skin<'a, R> {
     /// The evidence of motion `m̂` in [0, 1] of each Gaussian; read only when `soft`.
     pub evidence: &'a [R],
     /// Indices of the dynamic Gaussians. All others keep position and rotation.
-    pub dynamic_ids: &'a [u32],
-    /// `k` neighbours for each entry of `dynamic_ids`, see [`nearest`].
+    pub gaussian_from_dynamic: &'a [u32],
+    /// `k` neighbours for each entry of `gaussian_from_dynamic`, see [`nearest`].
     pub neighbours: &'a [u32],
     /// Neighbours per Gaussian.
     pub k: usize,
@@ -137,7 +137,7 @@ pub struct Skinned<R> {
     pub rotations: Vec<[R; 4]>,
     /// o' of every Gaussian.
     pub opacity_logits: Vec<R>,
-    /// `(1 − m̂) ‖Δ‖²` for each entry of `dynamic_ids`; zero unless `soft`.
+    /// `(1 − m̂) ‖Δ‖²` for each entry of `gaussian_from_dynamic`; zero unless `soft`.
     pub rigidity: Vec<R>,
 }
 
@@ -238,9 +238,9 @@ pub fn forward<R: Real>(skin: &Skin<R>) -> Skinned<R> {
         positions: skin.positions.to_vec(),
         rotations: skin.rotations.to_vec(),
         opacity_logits: skin.opacity_logits.to_vec(),
-        rigidity: vec![R::zero(); skin.dynamic_ids.len()],
+        rigidity: vec![R::zero(); skin.gaussian_from_dynamic.len()],
     };
-    for (row, &id) in skin.dynamic_ids.iter().enumerate() {
+    for (row, &id) in skin.gaussian_from_dynamic.iter().enumerate() {
         let j = id as usize;
         let blend =
             blend(skin, skin.positions[j], &skin.neighbours[row * skin.k..(row + 1) * skin.k]);
@@ -284,7 +284,7 @@ pub fn backward<R: Real>(
     };
     // With respect to the *unit* rotations; converted to the stored ones once, at the end.
     let mut unit_gradients = vec![[zero; 4]; skin.nodes.len()];
-    for (row, &id) in skin.dynamic_ids.iter().enumerate() {
+    for (row, &id) in skin.gaussian_from_dynamic.iter().enumerate() {
         let j = id as usize;
         let neighbours = &skin.neighbours[row * skin.k..(row + 1) * skin.k];
         let point = skin.positions[j];
@@ -432,7 +432,7 @@ mod tests {
                 opacity_logits: &self.opacity_logits,
                 motion_logits: &self.logits,
                 evidence: &self.evidence,
-                dynamic_ids: &self.ids,
+                gaussian_from_dynamic: &self.ids,
                 neighbours: &self.neighbours,
                 k: K,
                 nodes: &self.nodes,

@@ -65,7 +65,7 @@ fn blend<R: Real>(
     let tile = (y / TILE) * bins.grid[0] + x / TILE;
     let [begin, end] = bins.ranges[tile as usize];
     let mut transmittance = R::one();
-    for &index in &bins.splats[begin as usize..end as usize] {
+    for &index in &bins.splat_from_sorted[begin as usize..end as usize] {
         let splat = splats[index as usize].as_ref().expect("bins list only drawn splats");
         let offset = whitened(splat.conic, pixel[0] - splat.mean[0], pixel[1] - splat.mean[1]);
         let power = offset[0] * offset[0] + offset[1] * offset[1];

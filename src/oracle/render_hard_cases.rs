@@ -187,7 +187,7 @@ fn thousands_of_layers_and_equal_depths() {
     }
     let (cloud, view) = (Cloud::<f64>::new(&all), View::new(&camera));
     let bins = render::forward(&cloud, &view, &RenderSettings::default()).bins;
-    assert!(bins.order.windows(2).all(|w| w[0] < w[1]), "ties break by index");
+    assert!(bins.splat_from_rank.windows(2).all(|w| w[0] < w[1]), "ties break by index");
     let (image, drawn) = both(&all, &camera, 1e-4);
     assert_eq!(drawn, 4000);
     let stop = f64::from(RenderSettings::default().transmittance_stop);

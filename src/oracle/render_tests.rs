@@ -278,7 +278,7 @@ fn tiles_change_nothing() {
     let (mut cloud, view) = (cloud(60, 0, 41), View::new(&camera()));
     cloud.log_scales.iter_mut().flatten().for_each(|s| *s -= 1.5);
     let rendered = render::forward(&cloud, &view, &settings);
-    let drawn = rendered.bins.order.len();
+    let drawn = rendered.bins.splat_from_rank.len();
     let pairs = rendered.bins.tiles.len();
     assert!(drawn > 20 && pairs < drawn * 3, "{drawn} splats, {pairs} pairs of 6 tiles each");
     let mut order: Vec<_> = rendered.splats.iter().flatten().collect();

@@ -86,9 +86,9 @@ impl Renderer {
     fn splats_of(&mut self, tile: usize) -> Result<Vec<Splat>> {
         let [begin, end] = self.read_rows(|s| s.ranges.view(), &[tile])?[0];
         let places: Vec<usize> = (begin as usize..end as usize).collect();
-        let emitted = self.read_rows(|s| s.intersections.view(), &places)?;
+        let emitted = self.read_rows(|s| s.emitted_from_sorted.view(), &places)?;
         let emitted: Vec<usize> = emitted.into_iter().map(|at| at as usize).collect();
-        let splats = self.read_rows(|s| s.splats.view(), &emitted)?;
+        let splats = self.read_rows(|s| s.splat_from_emitted.view(), &emitted)?;
         let splats: Vec<usize> = splats.into_iter().map(|at| at as usize).collect();
         let means = self.read_rows(|s| s.means.view(), &splats)?;
         let conics = self.read_rows(|s| s.conics.view(), &splats)?;

@@ -24,6 +24,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
+pub use crate::types::Work;
 pub use ablation::{Ablation, AblationRow, Better, Figure, Summary};
 pub use compare::{Comparison, Verdict, compare};
 pub use csv::{csv, record};
@@ -131,17 +132,6 @@ impl Accuracy {
     pub fn passed(&self) -> bool {
         self.of_bound <= 1.0
     }
-}
-
-/// Data volume and arithmetic of one execution, counted from the actual data: every input and every output
-/// of a dispatch once; an addition, a multiplication or a transcendental is one operation. In integer work
-/// such as a sort, an operation is one step on one key.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Work {
-    /// Bytes read and written.
-    pub bytes: u64,
-    /// Operations.
-    pub operations: u64,
 }
 
 /// One measurement.

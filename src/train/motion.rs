@@ -169,7 +169,7 @@ impl MotionTrainer {
         recorder.read_back(found, &neighbours);
         let ticket = stream.submit(recorder)?;
         stream.wait(ticket)?;
-        let ids = stream.download(&self.motion.dynamic_ids)?;
+        let ids = stream.download(&self.motion.gaussian_from_dynamic)?;
         let centres = stream.download(&gaussians.positions)?;
         let (mut positions, mut pulls) = (Vec::new(), Vec::new());
         for &id in &ids[..dynamic] {
@@ -189,7 +189,7 @@ impl MotionTrainer {
         let left = revision.apply(&points);
         let moments = self.moments(stream)?;
         let (kept, count) = (&revision.kept, left.len());
-        let capacity = self.motion.dynamic_ids.len();
+        let capacity = self.motion.gaussian_from_dynamic.len();
         let start = MotionStart { points: left, network, neighbours: k };
         let mut fresh = MotionTrainer::new(stream, &start, self.settings, capacity)?;
         let resized = |width: usize, all: Vec<f32>| resized(&all, width, points.len(), kept, count);
@@ -210,8 +210,8 @@ impl MotionTrainer {
     pub(super) fn rehearse_revision(&self, stream: &mut Stream, start: &MotionStart) -> Result<()> {
         let found = self.motion.skin.neighbours().neighbours();
         let _neighbours = stream.device().readback::<u32>(found.len())?;
-        stream.prepare_download(&self.motion.dynamic_ids)?;
-        let capacity = self.motion.dynamic_ids.len();
+        stream.prepare_download(&self.motion.gaussian_from_dynamic)?;
+        let capacity = self.motion.gaussian_from_dynamic.len();
         MotionTrainer::new(stream, start, self.settings, capacity).map(drop)
     }
 
@@ -233,7 +233,7 @@ impl MotionTrainer {
 
     /// Waits and reads the result of [`set_dynamic`](Self::set_dynamic).
     pub(super) fn following(&self, stream: &mut Stream) -> Result<Following> {
-        let mut ids = stream.download(&self.motion.dynamic_ids)?;
+        let mut ids = stream.download(&self.motion.gaussian_from_dynamic)?;
         ids.truncate(self.motion.dynamic);
         Ok(Following { ids, neighbours: self.motion.skin.neighbours().download(stream)? })
     }
@@ -244,7 +244,7 @@ impl MotionTrainer {
         stream: &mut Stream,
         following: &Following,
     ) -> Result<()> {
-        stream.upload(&mut self.motion.dynamic_ids, &following.ids)?;
+        stream.upload(&mut self.motion.gaussian_from_dynamic, &following.ids)?;
         self.motion.dynamic = following.ids.len();
         let nodes = self.motion.log_radii.len();
         self.motion.skin.neighbours_mut().restore(stream, &following.neighbours, nodes)

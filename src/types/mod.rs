@@ -15,6 +15,7 @@ mod image;
 pub mod range;
 mod settings;
 mod tracks;
+mod work;
 
 pub use adam::AdamSettings;
 pub use camera::{Camera, Intrinsics, Pose};
@@ -25,3 +26,4 @@ pub use gaussians::{Gaussians, SH_C0, sh_coefficients};
 pub use image::Image;
 pub use settings::{DEPTH_BITS, RasterKind, RenderSettings, Tuning};
 pub use tracks::{PointPath, Tracks};
+pub use work::Work;

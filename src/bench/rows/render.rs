@@ -182,7 +182,7 @@ fn check_lists(check: &mut Check, frame: &mut Frame) -> Result<()> {
     let depth = |i: u32| listed.splats[i as usize].as_ref().map_or(0.0, |s| s.depth) as f32;
     let keys: Vec<u32> = drawn.iter().map(|&i| depth(i).to_bits()).collect();
     let order = sort::by_bits(&keys, &drawn, 0..32).1;
-    check.exact("order", &listed.bins.order, &order);
+    check.exact("order", &listed.bins.splat_from_rank, &order);
     let counts: Vec<u32> = order.iter().map(|&i| listed.tile_counts[i as usize]).collect();
     check.exact("offsets", &listed.bins.offsets, &scan::exclusive(&counts));
     let [tiles, owners] = &listed.emitted;
@@ -196,7 +196,7 @@ fn check_lists(check: &mut Check, frame: &mut Frame) -> Result<()> {
     let (sorted, places) = sort::by_bits(tiles, &numbers, 0..32);
     let splats: Vec<u32> = places.iter().map(|&at| owners[at as usize]).collect();
     check.exact("tiles", &listed.bins.tiles, &sorted);
-    check.exact("lists", &listed.bins.splats, &splats);
+    check.exact("lists", &listed.bins.splat_from_sorted, &splats);
     let [columns, rows] = listed.bins.grid;
     let ranges: Vec<[u32; 2]> = (0..columns * rows)
         .map(|tile| {

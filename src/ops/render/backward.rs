@@ -217,8 +217,8 @@ impl Render {
         };
         let args = raster::BackwardArgs {
             ranges: s.ranges.view(),
-            intersections: s.intersections.view(),
-            splats: s.splats.view(),
+            emitted_from_sorted: s.emitted_from_sorted.view(),
+            splat_from_emitted: s.splat_from_emitted.view(),
             means: s.means.view(),
             conics: s.conics.view(),
             colours,
@@ -247,7 +247,7 @@ impl Render {
             raster::GatherParams { count: count as u32, capacity: self.intersections as u32 },
             raster::GatherArgs {
                 visible_count: s.visible_count.view(),
-                order: s.order.view(),
+                splat_from_rank: s.splat_from_rank.view(),
                 counts: s.rank_counts.view(),
                 offsets: s.rank_offsets.view(),
                 slots_a: b.slots_a.view(),

@@ -92,8 +92,8 @@ impl Render {
         };
         let args = raster::ForwardArgs {
             ranges: s.ranges.view(),
-            intersections: s.intersections.view(),
-            splats: s.splats.view(),
+            emitted_from_sorted: s.emitted_from_sorted.view(),
+            splat_from_emitted: s.splat_from_emitted.view(),
             means: s.means.view(),
             conics: s.conics.view(),
             colours,
@@ -210,7 +210,7 @@ impl Render {
                 offsets: s.compact_offsets.view(),
                 means: s.means.view(),
                 keys: s.keys.view_mut(),
-                splats: s.splat_ids.view_mut(),
+                splat_from_visible: s.splat_from_visible.view_mut(),
             },
         )?;
         self.depth_sort.record(
@@ -219,9 +219,9 @@ impl Render {
                 count: s.visible_count.view(),
                 count_at: 0,
                 keys: s.keys.view(),
-                payload: s.splat_ids.view(),
+                payload: s.splat_from_visible.view(),
                 sorted_keys: s.sorted_keys.view_mut(),
-                sorted_payload: s.order.view_mut(),
+                sorted_payload: s.splat_from_rank.view_mut(),
             },
             &mut s.depth_sort,
         )?;
@@ -230,7 +230,7 @@ impl Render {
             bin::CountsParams { count },
             bin::CountsArgs {
                 visible_count: s.visible_count.view(),
-                order: s.order.view(),
+                splat_from_rank: s.splat_from_rank.view(),
                 tile_counts: s.tile_counts.view(),
                 counts: s.rank_counts.view_mut(),
             },
@@ -253,15 +253,15 @@ impl Render {
             bin::EmitParams { count, capacity, width: self.width, height: self.height },
             bin::EmitArgs {
                 visible_count: s.visible_count.view(),
-                order: s.order.view(),
+                splat_from_rank: s.splat_from_rank.view(),
                 counts: s.rank_counts.view(),
                 offsets: s.rank_offsets.view(),
                 rectangles: s.rectangles.view(),
                 means: s.means.view(),
                 conics: s.conics.view(),
                 tiles: s.tiles.view_mut(),
-                intersections: s.emitted.view_mut(),
-                splats: s.splats.view_mut(),
+                emitted: s.emitted.view_mut(),
+                splat_from_emitted: s.splat_from_emitted.view_mut(),
                 total: s.intersection_count.view_mut(),
             },
         )?;
@@ -283,7 +283,7 @@ impl Render {
                 keys: s.tiles.view(),
                 payload: s.emitted.view(),
                 sorted_keys: s.sorted_tiles.view_mut(),
-                sorted_payload: s.intersections.view_mut(),
+                sorted_payload: s.emitted_from_sorted.view_mut(),
             },
             &mut s.tile_sort,
         )?;

@@ -65,12 +65,12 @@ pub struct SplatViewsMut<'a> {
 
 /// The splats on each tile, front to back.
 pub struct TileLists<'a> {
-    /// For each tile, row by row: the begin and end of its range in `intersections`.
+    /// For each tile, row by row: the begin and end of its range in `emitted_from_sorted`.
     pub ranges: View<'a, [u32; 2]>,
-    /// Indices into `splats`.
-    pub intersections: View<'a, u32>,
-    /// The index of each intersection's splat.
-    pub splats: View<'a, u32>,
+    /// The index of each intersection in the order in which they were emitted, which is by splat.
+    pub emitted_from_sorted: View<'a, u32>,
+    /// The index of the splat of each emitted intersection.
+    pub splat_from_emitted: View<'a, u32>,
 }
 
 impl RenderScratch {
@@ -103,8 +103,8 @@ impl RenderScratch {
     pub fn tile_lists(&self) -> TileLists<'_> {
         TileLists {
             ranges: self.ranges.view(),
-            intersections: self.intersections.view(),
-            splats: self.splats.view(),
+            emitted_from_sorted: self.emitted_from_sorted.view(),
+            splat_from_emitted: self.splat_from_emitted.view(),
         }
     }
 }
