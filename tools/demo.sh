@@ -22,6 +22,7 @@ out=$(realpath -m -- "${OUT:-out/demo}")
 splat4d=${CARGO_TARGET_DIR:-target}/release/splat4d
 
 tools/setup.sh run
+. tools/rust-path.sh
 cargo build --release -p splat4d
 mkdir -p "$out"
 "$splat4d" devices

@@ -1,10 +1,13 @@
 #!/usr/bin/env bash
-# Installs what is missing, on Debian 12 or its like; does nothing when all is there.
+# Installs what is missing, with apt or dnf, and Rust with its own installer; does nothing when all is there.
 #
-#   tools/setup.sh run    what building and running need: linker, Vulkan loader, lavapipe, ffmpeg
+#   tools/setup.sh run    what building and running need: linker, Vulkan loader, lavapipe, ffmpeg, Rust
 #   tools/setup.sh test   and what the test suite needs: validation layer, SwiftShader, CMake, the evo,
 #                         scikit-image, onnxruntime, numpy, pytest, snakemake and kubernetes-validate packages, and
-#                         Node.js with PlayCanvas' splat-transform and the packages of the page's player …
+#                         Node.js with PlayCanvas' splat-transform and the packages of the page's player;
+#                         with apt only
+#
+# SPLAT4D_NO_RUSTUP=1 makes a missing or too old Rust an error instead of installing it.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -33,14 +36,38 @@ has_lavapipe() { has_file '/usr/share/vulkan/icd.d/lvp_icd*.json'; }
 has_validation() { has_file '/usr/share/vulkan/explicit_layer.d/VkLayer_khronos_validation.json'; }
 has_module() { python3 -c "import $1" >/dev/null 2>&1; }
 has_swiftshader() { has_file '/usr/lib/chromium/vk_swiftshader_icd.json'; }
+has_certificates() { has_file /etc/ssl/certs/ca-certificates.crt || has_file /etc/pki/tls/certs/ca-bundle.crt; }
+rust_version() { rustc --version 2>/dev/null | cut -d' ' -f2 || true; }
+# Whether cargo and rustc are there, and rustc is not older than the crate wants.
+has_rust() {
+    has_command cargo && has_command rustc &&
+        [[ $(printf '%s\n' "$wanted" "$(rust_version)" | sort -V | head -n1) == "$wanted" ]]
+}
 
-# One probe and the package that satisfies it.
+# One probe and the package that satisfies it: apt's name, and dnf's if it is another.
 needs=(
-    'has_command cc|g++'
-    'has_loader|libvulkan1'
+    'has_command cc|g++|gcc'
+    'has_loader|libvulkan1|vulkan-loader'
     'has_lavapipe|mesa-vulkan-drivers'
-    'has_command ffmpeg|ffmpeg'
+    'has_command ffmpeg|ffmpeg|ffmpeg-free'
 )
+
+. tools/rust-path.sh
+wanted=$(sed -n 's/^rust-version = "\(.*\)"/\1/p' Cargo.toml)
+lacking=
+if ! has_rust; then
+    found=$(rust_version)
+    lacking="Rust $wanted or newer is missing"
+    if [[ -n $found ]]; then
+        lacking="Rust $found is too old, $wanted is needed"
+    fi
+    if [[ ${SPLAT4D_NO_RUSTUP:-} == 1 ]]; then
+        fail "$lacking; install it with: curl --proto '=https' --tlsv1.2 -sSf https://sh.rustup.rs | sh" \
+            "  (https://rustup.rs)"
+    fi
+    # The installer is fetched with these.
+    has_command rustup || needs+=('has_command curl|curl' 'has_certificates|ca-certificates')
+fi
 if [[ $mode == test ]]; then
     needs+=(
         'has_command c++|g++'
@@ -64,44 +91,61 @@ if [[ $mode == test ]]; then
     )
 fi
 
+manager='apt-get'
+if ! has_command apt-get && has_command dnf && [[ $mode == run ]]; then
+    manager=dnf
+fi
 missing=()
 find_missing() {
     missing=()
-    local need
+    local need probe apt dnf
     for need in "${needs[@]}"; do
+        IFS='|' read -r probe apt dnf <<<"$need"
         # The probe is a function above and its argument.
-        ${need%%|*} || missing+=("${need##*|}")
+        $probe && continue
+        if [[ $manager == dnf ]]; then
+            missing+=("${dnf:-$apt}")
+        else
+            missing+=("$apt")
+        fi
     done
 }
 
 find_missing
 if ((${#missing[@]})); then
-    has_command apt-get ||
-        fail "missing: ${missing[*]} (Debian's names), and there is no apt-get to install them"
+    has_command $manager || fail "missing: ${missing[*]} (Debian's names), and there is no apt-get to install them"
     as_root=()
     if [[ $(id -u) != 0 ]]; then
-        has_command sudo || fail "run as root: apt-get install ${missing[*]}"
+        has_command sudo || fail "run as root: $manager install ${missing[*]}"
         as_root=(sudo)
     fi
     echo "setup: installing ${missing[*]}"
-    apt=("${as_root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get)
-    "${apt[@]}" update -qq || fail "apt-get update failed; is there a network?"
-    "${apt[@]}" install -y -qq --no-install-recommends "${missing[@]}" ||
-        fail "apt-get could not install ${missing[*]}"
+    if [[ $manager == dnf ]]; then
+        install=(dnf install -y -q --setopt=install_weak_deps=False)
+    else
+        "${as_root[@]}" apt-get update -qq || fail "apt-get update failed; is there a network?"
+        install=(env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends)
+    fi
+    "${as_root[@]}" "${install[@]}" "${missing[@]}" || fail "$manager could not install ${missing[*]}"
     find_missing
     ((${#missing[@]} == 0)) || fail "still missing after the installation: ${missing[*]}"
 fi
 
-# Rust comes from its own installer, which asks before it changes a home: not ours to run.
-if ! has_command cargo && [[ -f ${CARGO_HOME:-$HOME/.cargo}/env ]]; then
-    fail "Rust is installed but not on the path; run: . ${CARGO_HOME:-$HOME/.cargo}/env"
-fi
-wanted=$(sed -n 's/^rust-version = "\(.*\)"/\1/p' Cargo.toml)
-install="curl --proto '=https' --tlsv1.2 -sSf https://sh.rustup.rs | sh   (https://rustup.rs)"
-has_command cargo || fail "Rust $wanted or newer is missing; install it with: $install"
-found=$(rustc --version | cut -d' ' -f2)
-if [[ $(printf '%s\n' "$wanted" "$found" | sort -V | head -n1) != "$wanted" ]]; then
-    fail "Rust $found is too old, $wanted is needed; rustup update, or install it with: $install"
+if [[ -n $lacking ]]; then
+    if has_command rustup; then
+        echo "setup: $lacking; running: rustup update stable"
+        rustup update stable || fail "rustup could not update Rust; is there a network?"
+    else
+        echo "setup: $lacking; running its own installer (https://rustup.rs), which writes to" \
+            "${RUSTUP_HOME:-$HOME/.rustup} and ${CARGO_HOME:-$HOME/.cargo} and adds the latter to the path in the" \
+            "shell's profile; SPLAT4D_NO_RUSTUP=1 prevents it"
+        curl --proto '=https' --tlsv1.2 -sSf https://sh.rustup.rs |
+            sh -s -- -y --profile minimal --default-toolchain stable ||
+            fail "Rust's installer failed; is there a network?"
+        . tools/rust-path.sh
+    fi
+    has_rust || fail "Rust is still too old or missing: $(command -v rustc || echo "no rustc on the path")" \
+        "$(rust_version); remove it, or select a newer one (rustup default stable)"
 fi
 if [[ $mode == test ]]; then
     for component in rustfmt clippy; do
@@ -157,4 +201,4 @@ if [[ $mode == test ]]; then
         mv "$player.part" "$player"
     fi
 fi
-echo "setup: everything for '$mode' is there (Rust $found)"
+echo "setup: everything for '$mode' is there (Rust $(rust_version))"

@@ -3,9 +3,10 @@
 # under the validation layer. Every step runs, whatever failed before; any failure fails the whole.
 # Full logs lie in out/test/. Needs no GPU; a missing driver fails.
 set -uo pipefail
-cd "$(dirname "$0")/.."
+cd "$(dirname "$0")/.." || exit
 
 tools/setup.sh test || exit 1
+. tools/rust-path.sh
 
 # One profile, one selection of packages, targets and features, in every step: shaderc and the
 # dependencies are then built once.

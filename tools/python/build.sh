@@ -6,9 +6,11 @@ set -euo pipefail
 cd "$(dirname "$0")/../.."
 mkdir -p "${1:-out/python}"
 out=$(cd "${1:-out/python}" && pwd)
+. tools/rust-path.sh
+. tools/release-env.sh
 bin=tools/python/python/splat4d/bin
-cargo build --release --bin splat4d
+cargo build --release --locked --bin splat4d
 mkdir -p "$bin"
 trap 'rm -rf "$bin"' EXIT
-install -s "${CARGO_TARGET_DIR:-target}/release/splat4d" "$bin/splat4d"
-maturin build --release --manifest-path tools/python/Cargo.toml --out "$out"
+install "${CARGO_TARGET_DIR:-target}/release/splat4d" "$bin/splat4d"
+maturin build --release --locked --manifest-path tools/python/Cargo.toml --out "$out"
