@@ -6,3 +6,7 @@ CARGO_ENCODED_RUSTFLAGS=$(printf -- '--remap-path-prefix=%s=/splat4d\037--remap-
 export CARGO_ENCODED_RUSTFLAGS CARGO_INCREMENTAL=0 CARGO_PROFILE_RELEASE_DEBUG=0 CARGO_PROFILE_RELEASE_STRIP=symbols
 # Times inside of the packages: that of the commit.
 export SOURCE_DATE_EPOCH="${SOURCE_DATE_EPOCH:-$(git log -1 --format=%ct)}"
+# The program carries its commit; it then has no need of the path of its sources.
+if [ -z "${SPLAT4D_COMMIT:-}" ] && commit=$(git describe --always --dirty --abbrev=12 2>/dev/null); then
+    export SPLAT4D_COMMIT="$commit"
+fi

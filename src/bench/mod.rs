@@ -62,12 +62,15 @@ pub fn peaks(rows: &[Row]) -> Peaks {
     }
 }
 
-/// The source's commit: `SPLAT4D_COMMIT` if it is set, else the commit that `git` reports for the
-/// folder in which the program was built, if that still exists; with `-dirty` if files differ from
-/// it.
+/// The source's commit: `SPLAT4D_COMMIT` if it is set, else its value when the program was built, as packages
+/// set it, else the commit that `git` reports for the folder in which the program was built, if that still
+/// exists; with `-dirty` if files differ from it.
 pub fn commit() -> Option<String> {
     if let Ok(commit) = std::env::var("SPLAT4D_COMMIT") {
         return Some(commit);
+    }
+    if let Some(commit) = option_env!("SPLAT4D_COMMIT") {
+        return Some(commit.to_owned());
     }
     let output = std::process::Command::new("git")
         .args(["-C", env!("CARGO_MANIFEST_DIR"), "describe", "--always", "--dirty", "--abbrev=12"])

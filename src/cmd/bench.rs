@@ -49,7 +49,8 @@ than linearly. What would not fit is foreseen and left out.
 With --error-budget nothing but the settings is looked for: the fastest ones whose image error stays
 within it on views of the scene; one view is kept out of the search to test them.
 
-The commit in the report is SPLAT4D_COMMIT where it is set, else what git says.
+The commit in the report is SPLAT4D_COMMIT where it is set, else the one that the package was built
+from, else what git says.
 
 Examples:
   splat4d bench --report out
