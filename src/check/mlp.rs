@@ -4,7 +4,7 @@ use super::{Bound, Case, Guarded, Harness, Workload};
 use crate::error::Result;
 use crate::gpu::{Buffer, Recorder};
 use crate::ops::mlp::{Network, NetworkScratch};
-use crate::oracle::mlp;
+use crate::oracle::{Real, mlp};
 use crate::types::{DeformNet, NetShape, Work};
 use rand::RngExt;
 
@@ -58,7 +58,8 @@ impl Problem {
         }
     }
 
-    fn oracle<R: crate::oracle::Real>(&self) -> (Vec<R>, Vec<R>) {
+    /// The motions, and for a backward pass the gradients of the parameters, which else are empty.
+    fn oracle<R: Real>(&self, pass: Pass) -> (Vec<R>, Vec<R>) {
         let real = |v: f32| R::of(f64::from(v));
         let parameters: Vec<R> = self.parameters.iter().copied().map(real).collect();
         let queries: Vec<[R; 4]> = self
@@ -66,14 +67,17 @@ impl Problem {
             .iter()
             .flat_map(|&t| self.nodes.chunks(3).map(move |p| [p[0], p[1], p[2], t].map(real)))
             .collect();
-        let pass = mlp::forward(&self.shape, &parameters, &queries);
-        let transforms = pass.outputs.iter().flat_map(|&o| mlp::transform(o)).collect();
+        let forward = mlp::forward(&self.shape, &parameters, &queries);
+        let transforms = forward.outputs.iter().flat_map(|&o| mlp::transform(o)).collect();
+        if pass == Pass::Forward {
+            return (transforms, Vec::new());
+        }
         let by_output: Vec<[R; 7]> = self
             .gradients
             .iter()
             .map(|&[x, y, z, _, w, i, j, k]| [x, y, z, w, i, j, k].map(real))
             .collect();
-        (transforms, mlp::backward(&self.shape, &parameters, &pass, &by_output))
+        (transforms, mlp::backward(&self.shape, &parameters, &forward, &by_output))
     }
 
     /// The motions, and the gradients of the parameters, added up `repeats` times.
@@ -186,8 +190,8 @@ impl Workload for MlpWorkload {
     }
 
     fn compare(&self, h: &mut Harness) -> Result<()> {
-        let (truth, by_truth) = self.problem.oracle::<f64>();
-        let (twin, by_twin) = self.problem.oracle::<f32>();
+        let (truth, by_truth) = self.problem.oracle::<f64>(self.pass);
+        let (twin, by_twin) = self.problem.oracle::<f32>(self.pass);
         let transforms = h.read(&self.transforms)?.concat();
         h.close("transforms", &transforms, &truth, Some(&twin), self.bounds[0]);
         if self.pass == Pass::Backward {

@@ -202,7 +202,8 @@ impl Neighbours {
         self.neighbours.range(0..self.rows * self.k)
     }
 
-    /// The begin of each control point's range in [`place_from_sorted`](Self::place_from_sorted), and the end of the last.
+    /// The begin of each control point's range in [`place_from_sorted`](Self::place_from_sorted), and the end of
+    /// the last.
     pub fn starts(&self) -> View<'_, u32> {
         self.starts.range(0..self.node_count + 1)
     }

@@ -27,6 +27,7 @@ const IN_THE_AIR: f64 = 0.25;
 /// that is visible between its wheels.
 const BY_CONTACT: f64 = 0.3;
 const NEAR_CONTACT: usize = 5;
+
 /// The logarithm of the depth of an object's middle that follows from its contact with the ground, frame by
 /// frame, where it has one.
 pub(super) fn contacts(
