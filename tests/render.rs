@@ -22,14 +22,13 @@ fn render(device: &Device, gaussians: &Gaussians, camera: &Camera) -> (Vec<[f32;
         RenderSettings::default(),
     )
     .unwrap();
-    let mut scratch = render.scratch(device).unwrap();
-    let mut pixels = render.pixels(device).unwrap();
+    let mut frame = render.frame(device).unwrap();
     let mut recorder = stream.record().unwrap();
-    render.forward(&mut recorder, camera, buffers.views(), &mut scratch, &mut pixels).unwrap();
+    frame.forward(&mut recorder, camera, buffers.views(), Default::default()).unwrap();
     stream.submit(recorder).unwrap();
-    let counts = scratch.counts(&mut stream).unwrap();
+    let counts = frame.counts(&mut stream).unwrap();
     assert!(counts.intersections <= 1 << 16);
-    (stream.download(&pixels.rgba).unwrap(), stream.download(&pixels.depth).unwrap())
+    (stream.download(&frame.pixels.rgba).unwrap(), stream.download(&frame.pixels.depth).unwrap())
 }
 
 #[test]
@@ -96,35 +95,31 @@ fn what_does_not_fit_is_named() {
         motion_logits: Vec::new(),
     };
     let gaussians = GaussianBuffers::from_host(&mut stream, &one).unwrap();
-    let mut error = |render: &Render, scratch: &Render, pixels: &Render, width| {
+    let mut error = |render: &Render, pixels: &Render, width| {
         let camera = Camera {
             intrinsics: Intrinsics::centred(20.0, width, 20),
             view_from_world: Pose::IDENTITY,
         };
-        let mut scratch = scratch.scratch(&device).unwrap();
+        let mut frame = render.frame(&device).unwrap();
         let mut pixels = pixels.pixels(&device).unwrap();
         let recorder = &mut stream.record().unwrap();
-        render
-            .forward(recorder, &camera, gaussians.views(), &mut scratch, &mut pixels)
+        frame
+            .forward(recorder, &camera, gaussians.views(), pixels.views_mut())
             .map_err(|error| error.to_string())
     };
     let good = plan(1, 64, 30);
-    assert_eq!(error(&good, &good, &good, 30), Ok(()));
+    assert_eq!(error(&good, &good, 30), Ok(()));
     assert_eq!(
-        error(&good, &good, &good, 31).unwrap_err(),
+        error(&good, &good, 31).unwrap_err(),
         "the renderer was planned for 30×20 pixels, the camera has 31×20"
     );
     assert_eq!(
-        error(&plan(0, 64, 30), &good, &good, 30).unwrap_err(),
+        error(&plan(0, 64, 30), &good, 30).unwrap_err(),
         "render: gaussians has 1 elements, expected at most 0"
     );
     assert_eq!(
-        error(&good, &plan(1, 63, 30), &good, 30).unwrap_err(),
-        "render: scratch's intersections has 63 elements, expected at least 64"
-    );
-    assert_eq!(
-        error(&good, &good, &plan(1, 64, 29), 30).unwrap_err(),
-        "render: pixels has 580 elements, expected an image of 30×20"
+        error(&good, &plan(1, 64, 29), 30).unwrap_err(),
+        "render: rgba has 580 elements, expected at least 600"
     );
 }
 
@@ -158,15 +153,14 @@ fn stages_on_their_own_are_a_frame() {
 
     let gaussians = GaussianBuffers::from_host(stream, &scene).unwrap();
     let op = Render::plan(&device, n, 1 << 14, width, height, Default::default()).unwrap();
-    let mut scratch = op.scratch(&device).unwrap();
-    let mut pixels = op.pixels(&device).unwrap();
+    let mut frame = op.frame(&device).unwrap();
     let mut recorder = stream.record().unwrap();
-    op.project(&mut recorder, &camera, gaussians.views(), &mut scratch).unwrap();
+    frame.project(&mut recorder, &camera, gaussians.views()).unwrap();
     stream.submit(recorder).unwrap();
-    // Another scratch without a projection: the host supplies the splats.
-    let mut other = op.scratch(&device).unwrap();
+    // Another frame without a projection: the host supplies the splats.
+    let mut other = op.frame(&device).unwrap();
     let mut recorder = stream.record().unwrap();
-    let (from, to) = (scratch.splats(), other.splats_mut());
+    let (from, to) = (frame.splats(), other.splats_mut());
     recorder.copy(from.means, to.means);
     recorder.copy(from.conics, to.conics);
     recorder.copy(from.colours, to.colours);
@@ -174,14 +168,13 @@ fn stages_on_their_own_are_a_frame() {
     recorder.copy(from.tile_counts, to.tile_counts);
     recorder.copy(from.visible, to.visible);
     stream.submit(recorder).unwrap();
-    for scratch in [&mut scratch, &mut other] {
+    for frame in [&mut frame, &mut other] {
         let mut recorder = stream.record().unwrap();
-        recorder.fill(pixels.rgba.view_mut(), 0);
-        op.bin(&mut recorder, n, scratch).unwrap();
-        op.blend(&mut recorder, scratch.splats().colours, scratch, &mut pixels).unwrap();
+        frame.bin(&mut recorder, n).unwrap();
+        frame.blend(&mut recorder, None, Default::default()).unwrap();
         stream.submit(recorder).unwrap();
-        assert_eq!(stream.download(&pixels.rgba).unwrap(), whole.0);
-        assert_eq!(stream.download(&pixels.depth).unwrap(), whole.1);
+        assert_eq!(stream.download(&frame.pixels.rgba).unwrap(), whole.0);
+        assert_eq!(stream.download(&frame.pixels.depth).unwrap(), whole.1);
     }
 
     let mut read = |from: splat4d::gpu::View<'_, u32>| {
@@ -191,15 +184,15 @@ fn stages_on_their_own_are_a_frame() {
         stream.submit(recorder).unwrap();
         stream.download(&to).unwrap()
     };
-    let lists = scratch.tile_lists();
+    let lists = frame.tile_lists();
     let splat_from_emitted = read(lists.splat_from_emitted);
     let emitted_from_sorted = read(lists.emitted_from_sorted);
-    let counts = read(scratch.splats().tile_counts);
+    let counts = read(frame.splats().tile_counts);
     let mut ranges = device.buffer("ranges", lists.ranges.len()).unwrap();
     let mut means = device.buffer("means", n).unwrap();
     let mut recorder = stream.record().unwrap();
     recorder.copy(lists.ranges, ranges.view_mut());
-    recorder.copy(scratch.splats().means, means.view_mut());
+    recorder.copy(frame.splats().means, means.view_mut());
     stream.submit(recorder).unwrap();
     let (ranges, means) = (stream.download(&ranges).unwrap(), stream.download(&means).unwrap());
     assert_eq!(ranges.len(), 5 * 4);
@@ -212,7 +205,7 @@ fn stages_on_their_own_are_a_frame() {
         on_tile.iter().for_each(|&splat| seen[splat] += 1);
     }
     assert_eq!(seen, counts);
-    let error = op.bin(&mut stream.record().unwrap(), n + 1, &mut scratch).unwrap_err().to_string();
+    let error = frame.bin(&mut stream.record().unwrap(), n + 1).unwrap_err().to_string();
     assert!(error.contains("expected at most 300"), "{error}");
     common::assert_valid(&device);
 }

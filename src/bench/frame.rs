@@ -3,30 +3,19 @@
 use crate::Result;
 use crate::gpu::{Device, KernelTime, Recorder, Stream};
 use crate::ops::gaussians::GaussianBuffers;
-use crate::ops::render::{
-    BackwardScratch, FrameCounts, PixelBuffers, PixelGradients, Render, RenderScratch,
-};
+use crate::ops::render::{self, FrameCounts, FrameGradients, Render};
 use crate::oracle::bin::Bins;
 use crate::oracle::project::Splat;
 use crate::oracle::tiles::{TileRect, grid};
 use crate::types::{Camera, Gaussians, RenderSettings};
 
 pub(super) struct Frame {
-    pub(super) render: Render,
-    pub(super) camera: Camera,
-    pub(super) gaussians: GaussianBuffers,
-    pub(super) scratch: RenderScratch,
-    pub(super) pixels: PixelBuffers,
-    pub(super) counts: FrameCounts,
-    pub(super) stream: Stream,
-    backward: Option<Backward>,
-}
-
-/// The buffers of the backward pass.
-struct Backward {
-    scratch: BackwardScratch,
-    by_pixel: PixelGradients,
+    inner: render::Frame<FrameGradients>,
+    camera: Camera,
+    gaussians: GaussianBuffers,
     gradients: GaussianBuffers,
+    pub(super) counts: FrameCounts,
+    stream: Stream,
 }
 
 /// The splats and tile lists of the device, in the oracle's types.
@@ -53,24 +42,14 @@ impl Frame {
         let mut capacity = 4 * n + 1024;
         loop {
             let render = Render::plan(device, n, capacity, k.width, k.height, settings)?;
-            let (mut scratch, mut pixels) = (render.scratch(device)?, render.pixels(device)?);
+            let mut inner = render.differentiable(device)?;
             let mut recorder = stream.record()?;
-            let views = gaussians.views();
-            render.forward(&mut recorder, camera, views, &mut scratch, &mut pixels)?;
+            inner.forward(&mut recorder, camera, gaussians.views(), Default::default())?;
             stream.submit(recorder)?;
-            let counts = scratch.counts(&mut stream)?;
+            let counts = inner.counts(&mut stream)?;
             if counts.intersections <= capacity {
-                let (camera, backward) = (*camera, None);
-                return Ok(Frame {
-                    render,
-                    camera,
-                    gaussians,
-                    scratch,
-                    pixels,
-                    counts,
-                    stream,
-                    backward,
-                });
+                let gradients = GaussianBuffers::new(device, n, scene.sh_degree)?;
+                return Ok(Frame { inner, camera: *camera, gaussians, gradients, counts, stream });
             }
             capacity = counts.intersections;
         }
@@ -81,8 +60,7 @@ impl Frame {
         let mut recorder = self.stream.record()?;
         recorder.profile()?;
         let views = self.gaussians.views();
-        let (scratch, pixels) = (&mut self.scratch, &mut self.pixels);
-        self.render.forward(&mut recorder, &self.camera, views, scratch, pixels)?;
+        self.inner.forward(&mut recorder, &self.camera, views, Default::default())?;
         self.finish(recorder)
     }
 
@@ -98,56 +76,46 @@ impl Frame {
     /// Sets the gradient with respect to the image that
     /// [`profile_backward`](Self::profile_backward) starts from.
     pub(super) fn set_gradient(&mut self, rgba: &[[f32; 4]], depth: &[f32]) -> Result<()> {
-        let device = self.stream.device().clone();
-        let mut by_pixel = self.render.pixel_gradients(&device)?;
+        let by_pixel = &mut self.inner.gradients.pixels;
         self.stream.upload(&mut by_pixel.rgba, rgba)?;
-        self.stream.upload(&mut by_pixel.depth, depth)?;
-        let gradients =
-            GaussianBuffers::new(&device, self.gaussians.len, self.gaussians.sh_degree)?;
-        let scratch = self.render.backward_scratch(&device)?;
-        self.backward = Some(Backward { scratch, by_pixel, gradients });
-        Ok(())
+        self.stream.upload(&mut by_pixel.depth, depth)
     }
 
     /// Differentiates the last frame, the pose included, and returns the time of each dispatch.
     pub(super) fn profile_backward(&mut self) -> Result<Vec<KernelTime>> {
         let mut recorder = self.stream.record()?;
         recorder.profile()?;
-        let b = self.backward.as_mut().expect("a gradient was set");
-        self.render.backward(
-            &mut recorder,
-            self.gaussians.views(),
-            &self.scratch,
-            &self.pixels,
-            &b.by_pixel,
-            &mut b.scratch,
-            &mut b.gradients,
-            true,
-        )?;
+        let (views, by) = (self.gaussians.views(), Default::default());
+        self.inner.backward(&mut recorder, views, by, &mut self.gradients, true)?;
         self.finish(recorder)
     }
 
     /// The gradients of the last backward pass.
     pub(super) fn gradients(&mut self) -> Result<Gaussians> {
-        let b = self.backward.as_ref().expect("a gradient was set");
-        b.gradients.download(&mut self.stream)
+        self.gradients.download(&mut self.stream)
+    }
+
+    /// Width and height of the image, pixels.
+    pub(super) fn size(&self) -> [u32; 2] {
+        [self.inner.pixels.width, self.inner.pixels.height]
     }
 
     /// The last frame's image.
     pub(super) fn image(&mut self) -> Result<Vec<[f32; 4]>> {
-        self.stream.download(&self.pixels.rgba)
+        self.stream.download(&self.inner.pixels.rgba)
     }
 
     /// Number of (pixel, splat) pairs that blending visits, from the index at which each pixel
     /// stopped.
     pub(super) fn blended(&mut self) -> Result<u64> {
-        let last = self.stream.download(&self.pixels.last)?;
+        let last = self.stream.download(&self.inner.pixels.last)?;
         Ok(last.iter().map(|&l| u64::from(l)).sum())
     }
 
     /// The device's splats and tile lists of the last frame.
     pub(super) fn listed(&mut self) -> Result<Listed> {
-        let (s, stream) = (&self.scratch, &mut self.stream);
+        let size = self.size();
+        let (s, stream) = (&self.inner.scratch, &mut self.stream);
         let (n, m) = (self.gaussians.len, self.counts.intersections);
         let cut = |mut words: Vec<u32>, len: usize| {
             words.truncate(len);
@@ -180,7 +148,7 @@ impl Frame {
             })
             .collect();
         let bins = Bins {
-            grid: grid(self.pixels.width, self.pixels.height),
+            grid: grid(size[0], size[1]),
             splat_from_rank: cut(stream.download(&s.splat_from_rank)?, self.counts.visible),
             offsets: cut(stream.download(&s.rank_offsets)?, self.counts.visible),
             splat_from_sorted: intersections.iter().map(|&at| owners[at as usize]).collect(),

@@ -149,17 +149,16 @@ fn depth_bits(harness: &mut Harness) -> Result<()> {
         let buffers = GaussianBuffers::from_host(stream, &scene)?;
         let render = Render::plan(&device, 3000, 1 << 15, 171, 115, RenderSettings::default())?
             .with_depth_bits(&device, bits)?;
-        let (mut scratch, mut pixels) = (render.scratch(&device)?, render.pixels(&device)?);
+        let mut frame = render.frame(&device)?;
         let mut recorder = stream.record()?;
-        let views = buffers.views();
-        render.forward(&mut recorder, &camera, views, &mut scratch, &mut pixels)?;
+        frame.forward(&mut recorder, &camera, buffers.views(), Default::default())?;
         stream.submit(recorder)?;
-        let visible = stream.download(&scratch.visible)?;
-        let means = stream.download(&scratch.means)?;
+        let visible = stream.download(&frame.scratch.visible)?;
+        let means = stream.download(&frame.scratch.means)?;
         let drawn: Vec<u32> = (0..3000u32).filter(|&i| visible[i as usize] != 0).collect();
         let keys: Vec<u32> = drawn.iter().map(|&i| means[i as usize][2].to_bits()).collect();
         let order = sort::by_bits(&keys, &drawn, 31 - bits..31).1;
-        let got = stream.download(&scratch.splat_from_rank)?;
+        let got = stream.download(&frame.scratch.splat_from_rank)?;
         harness.exact(&format!("{bits} bits: order"), &got[..drawn.len()], &order);
     }
     let render = Render::plan(&harness.device, 1, 1, 16, 16, RenderSettings::default())?;
@@ -227,22 +226,22 @@ fn saturation(harness: &mut Harness) -> Result<()> {
     ] {
         let len = counts.len();
         let render = Render::plan(&device, len, capacity, 40, 30, RenderSettings::default())?;
-        let mut scratch = render.scratch(&device)?;
+        let mut frame = render.frame(&device)?;
         // Splats with empty rectangles: none of the counted pairs is emitted.
-        let splats = scratch.splats_mut();
+        let splats = frame.splats_mut();
         let mut recorder = stream.record()?;
         recorder.fill(splats.means, 0);
         recorder.fill(splats.conics, 0);
         recorder.fill(splats.rectangles, 0);
         stream.submit(recorder)?;
         let visible: Vec<u32> = counts.iter().map(|&count| count.min(1)).collect();
-        stream.upload(&mut scratch.visible, &visible)?;
-        stream.upload(&mut scratch.tile_counts, &counts)?;
+        stream.upload(&mut frame.scratch.visible, &visible)?;
+        stream.upload(&mut frame.scratch.tile_counts, &counts)?;
         let mut recorder = stream.record()?;
-        render.bin(&mut recorder, len, &mut scratch)?;
+        frame.bin(&mut recorder, len)?;
         stream.submit(recorder)?;
-        let intersections = scratch.counts(stream)?.intersections as u32;
-        let fits = stream.download(&scratch.fits)? == [1];
+        let intersections = frame.counts(stream)?.intersections as u32;
+        let fits = stream.download(&frame.scratch.fits)? == [1];
         let what = format!("{len} splats, the first on {} tiles", counts[0]);
         found.push((what, pairs(&counts), intersections, fits));
     }

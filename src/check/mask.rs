@@ -5,7 +5,7 @@ use super::{Bound, Case, Harness};
 use crate::error::Result;
 use crate::ops::gaussians::GaussianBuffers;
 use crate::ops::mask::{VoteArgs, compare, paint, vote};
-use crate::ops::render::Render;
+use crate::ops::render::{Frame, Render};
 use crate::oracle::mask;
 use crate::types::RenderSettings;
 use rand::RngExt;
@@ -160,44 +160,32 @@ fn blending(h: &mut Harness) -> Result<()> {
     let k = camera.intrinsics;
     let render =
         Render::plan(&device, count, 1 << 14, k.width, k.height, RenderSettings::default())?;
-    let (mut scratch, mut backward) = (render.scratch(&device)?, render.backward_scratch(&device)?);
-    let mut pixels = [render.pixels(&device)?, render.pixels(&device)?];
-    let mut gradients = render.pixel_gradients(&device)?;
+    let (mut frame, mut own) = (render.differentiable(&device)?, render.pixels(&device)?);
     let logits = device.upload("motion logits", &vec![f32::INFINITY; count])?;
     let mut colours = device.buffer::<[f32; 4]>("colours", count)?;
     let mask = device.upload("mask", &vec![1.0f32; (k.width * k.height) as usize])?;
     let mut by_colour = h.output::<[f32; 4]>("by colour", count)?;
     let mut recorder = h.stream.record()?;
-    let [own, painted] = &mut pixels;
-    render.forward(&mut recorder, &camera, gaussians.views(), &mut scratch, own)?;
+    frame.forward(&mut recorder, &camera, gaussians.views(), own.views_mut())?;
     paint(&mut recorder, logits.view(), colours.view_mut())?;
-    render.blend(&mut recorder, colours.view(), &scratch, painted)?;
-    compare(&mut recorder, painted, mask.view(), 1.0, &mut gradients)?;
-    let by_pixel = &gradients;
-    let drawn = colours.view();
-    render.blend_backward(
-        &mut recorder,
-        drawn,
-        count,
-        &scratch,
-        painted,
-        by_pixel,
-        &mut backward,
-    )?;
-    recorder.copy(backward.colour_gradients(count), by_colour.view_mut());
+    frame.blend(&mut recorder, Some(colours.view()), Default::default())?;
+    let Frame { pixels: painted, gradients, .. } = &mut frame;
+    compare(&mut recorder, painted, mask.view(), 1.0, &mut gradients.pixels)?;
+    frame.blend_backward(&mut recorder, Some(colours.view()), count, Default::default())?;
+    recorder.copy(frame.gradients.colours(count), by_colour.view_mut());
     h.stream.submit(recorder)?;
-    let own_rgba = h.stream.download(&pixels[0].rgba)?;
-    let rgba = h.stream.download(&pixels[1].rgba)?;
+    let own_rgba = h.stream.download(&own.rgba)?;
+    let rgba = h.stream.download(&frame.pixels.rgba)?;
     let same = own_rgba.iter().zip(&rgba).all(|(a, b)| a[3].to_bits() == b[3].to_bits());
     h.holds("alpha stays", same);
     let (own_depth, depth) =
-        (h.stream.download(&pixels[0].depth)?, h.stream.download(&pixels[1].depth)?);
+        (h.stream.download(&own.depth)?, h.stream.download(&frame.pixels.depth)?);
     h.holds("depth stays", own_depth == depth);
     // If all Gaussians move, the blended probability equals alpha: the same sum in two orders.
     let red: Vec<f32> = rgba.iter().map(|p| p[0]).collect();
     let alpha: Vec<f64> = rgba.iter().map(|p| f64::from(p[3])).collect();
     h.close("red", &red, &alpha, None, Bound { absolute: 5e-6, relative: 0.0 });
-    let shown = h.stream.download(&scratch.visible)?;
+    let shown = h.stream.download(&frame.scratch.visible)?;
     let votes = h.read(&by_colour)?;
     let total = |of: fn(&[f32; 4]) -> f32| -> f32 {
         let seen = votes.iter().zip(&shown).filter(|(_, v)| **v != 0);

@@ -169,13 +169,15 @@ fn halves(harness: &mut Harness) -> Result<()> {
         let render =
             Render::plan(&device, count, 1 << 15, WIDTH, HEIGHT, RenderSettings::default())?;
         let mut run = |views: GaussianViews<'_>| -> Result<_> {
-            let (mut scratch, mut pixels) = (render.scratch(&device)?, render.pixels(&device)?);
+            let mut frame = render.frame(&device)?;
+            let scratch = &mut frame.scratch;
             let mut recorder = stream.record()?;
             for what in [&mut scratch.means, &mut scratch.conics, &mut scratch.colours] {
                 recorder.fill(what.view_mut(), 0);
             }
-            render.forward(&mut recorder, &camera, views, &mut scratch, &mut pixels)?;
+            frame.forward(&mut recorder, &camera, views, Default::default())?;
             stream.submit(recorder)?;
+            let scratch = &frame.scratch;
             Ok((
                 stream.download(&scratch.tile_counts)?,
                 [&scratch.means, &scratch.conics, &scratch.colours]

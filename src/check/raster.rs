@@ -53,7 +53,7 @@ fn compare_blended(
     let device = harness.device.clone();
     let stream = &mut harness.stream;
     let mut frame = Frame::new(&device, stream, scene, camera, capacity, settings)?;
-    frame.render = variant(frame.render.clone());
+    frame.inner.plan = variant(frame.inner.plan.clone());
     let out = frame.forward(stream)?;
     let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
     let (splats, bins) = (out.splats(), out.bins(width, height));

@@ -4,7 +4,7 @@ use super::Harness;
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Device, Recorder, Stream};
 use crate::ops::gaussians::GaussianBuffers;
-use crate::ops::render::{BackwardScratch, PixelBuffers, PixelGradients, Render, RenderScratch};
+use crate::ops::render::{self, FrameGradients, PixelBuffers, PixelGradients, Render};
 use crate::oracle::bin::{Bins, bin};
 use crate::oracle::project::Splat;
 use crate::oracle::project_backward::SplatGradient;
@@ -109,20 +109,12 @@ pub fn join(parts: &[Gaussians]) -> Gaussians {
 /// A scene on the device with all buffers for rendering. All outputs of a pass are poisoned before
 /// it; elements beyond the op's sizes must still be poison after it.
 pub struct Frame {
-    /// The op.
-    pub render: Render,
+    /// The frame, with longer buffers than planned for.
+    pub inner: render::Frame<FrameGradients>,
     /// The camera.
     pub camera: Camera,
     /// The scene.
     pub gaussians: GaussianBuffers,
-    /// Scratch of the forward pass.
-    pub scratch: RenderScratch,
-    /// The image.
-    pub pixels: PixelBuffers,
-    /// The loss's gradient with respect to the image.
-    pub pixel_gradients: PixelGradients,
-    /// Scratch of the backward pass.
-    pub backward: BackwardScratch,
     /// Gradients with respect to the parameters.
     pub gradients: GaussianBuffers,
     /// Whether the backward pass computes the pose's gradient.
@@ -214,38 +206,38 @@ impl Frame {
         let render = Render::plan(device, n, capacity, k.width, k.height, settings)?;
         let larger =
             Render::plan(device, n + SLACK, capacity + SLACK, k.width, k.height, settings)?;
+        let mut inner = larger.differentiable(device)?;
         let area = k.width as usize * k.height as usize + SLACK;
+        inner.plan = render;
+        inner.pixels = PixelBuffers {
+            width: k.width,
+            height: k.height,
+            rgba: device.buffer("rendered rgba", area)?,
+            depth: device.buffer("rendered depth", area)?,
+            last: device.buffer("last intersections", area)?,
+        };
+        inner.gradients.pixels = PixelGradients {
+            rgba: device.buffer("rgba gradient", area)?,
+            depth: device.buffer("depth gradient", area)?,
+        };
         Ok(Frame {
+            inner,
             gaussians: GaussianBuffers::from_host(stream, scene)?,
-            scratch: larger.scratch(device)?,
-            pixels: PixelBuffers {
-                width: k.width,
-                height: k.height,
-                rgba: device.buffer("rendered rgba", area)?,
-                depth: device.buffer("rendered depth", area)?,
-                last: device.buffer("last intersections", area)?,
-            },
-            pixel_gradients: PixelGradients {
-                rgba: device.buffer("rgba gradient", area)?,
-                depth: device.buffer("depth gradient", area)?,
-            },
-            backward: larger.backward_scratch(device)?,
             gradients: GaussianBuffers::new(device, n + SLACK, scene.sh_degree)?,
             with_pose: true,
             camera: *camera,
-            render,
             capacity,
         })
     }
 
     fn area(&self) -> usize {
-        self.pixels.width as usize * self.pixels.height as usize
+        self.inner.pixels.width as usize * self.inner.pixels.height as usize
     }
 
     /// Renders and reads everything back.
     pub fn forward(&mut self, stream: &mut Stream) -> Result<Forward> {
         let mut recorder = stream.record()?;
-        let (s, p) = (&mut self.scratch, &mut self.pixels);
+        let (s, p) = (&mut self.inner.scratch, &mut self.inner.pixels);
         let r = &mut recorder;
         poison(r, &mut [&mut s.means, &mut s.conics, &mut s.colours, &mut p.rgba]);
         poison(r, &mut [&mut s.rectangles, &mut s.ranges]);
@@ -269,12 +261,12 @@ impl Frame {
             &mut [&mut s.sorted_tiles, &mut s.emitted_from_sorted, &mut s.counts, &mut p.last],
         );
         poison(r, &mut [&mut s.fits]);
-        self.render.forward(r, &self.camera, self.gaussians.views(), s, p)?;
+        self.inner.forward(r, &self.camera, self.gaussians.views(), Default::default())?;
         stream.submit(recorder)?;
-        let counts = s.counts(stream)?;
+        let counts = self.inner.counts(stream)?;
         let (n, area) = (self.gaussians.len, self.area());
         let m = counts.intersections.min(self.capacity);
-        let (s, p) = (&self.scratch, &self.pixels);
+        let (s, p) = (&self.inner.scratch, &self.inner.pixels);
         for buffer in [&s.compact_offsets, &s.rank_counts] {
             read(stream, buffer, n)?;
         }
@@ -312,10 +304,11 @@ impl Frame {
             .zip(&gradient.alpha)
             .map(|(rgb, &alpha)| [rgb[0], rgb[1], rgb[2], alpha])
             .collect();
-        stream.upload(&mut self.pixel_gradients.rgba, &rgba)?;
-        stream.upload(&mut self.pixel_gradients.depth, &gradient.depth)?;
+        let by_pixel = &mut self.inner.gradients.pixels;
+        stream.upload(&mut by_pixel.rgba, &rgba)?;
+        stream.upload(&mut by_pixel.depth, &gradient.depth)?;
         let mut recorder = stream.record()?;
-        let (b, g, r) = (&mut self.backward, &mut self.gradients, &mut recorder);
+        let (b, g, r) = (&mut self.inner.gradients, &mut self.gradients, &mut recorder);
         poison(r, &mut [&mut b.slots_a, &mut b.slots_b, &mut b.means, &mut b.covariances]);
         poison(r, &mut [&mut b.colours, &mut g.rotations]);
         poison(r, &mut [&mut b.slots_c]);
@@ -324,20 +317,11 @@ impl Frame {
         for band in &mut g.sh {
             poison(r, &mut [band]);
         }
-        self.render.backward(
-            r,
-            self.gaussians.views(),
-            &self.scratch,
-            &self.pixels,
-            &self.pixel_gradients,
-            b,
-            g,
-            self.with_pose,
-        )?;
+        self.inner.backward(r, self.gaussians.views(), Default::default(), g, self.with_pose)?;
         stream.submit(recorder)?;
         let n = self.gaussians.len;
-        let m = (self.scratch.counts(stream)?.intersections).min(self.capacity);
-        let (b, g) = (&self.backward, &self.gradients);
+        let m = self.inner.counts(stream)?.intersections.min(self.capacity);
+        let (b, g) = (&self.inner.gradients, &self.gradients);
         read(stream, &b.slots_a, m)?;
         read(stream, &b.slots_b, m)?;
         read(stream, &b.slots_c, m)?;
@@ -350,7 +334,7 @@ impl Frame {
         for (band, floats) in g.sh.iter().zip(crate::ops::gaussians::SH_BAND) {
             read(stream, band, (floats * n).min(band.len()))?;
         }
-        let visible = read(stream, &self.scratch.visible, n)?;
+        let visible = read(stream, &self.inner.scratch.visible, n)?;
         let means = read(stream, &b.means, n)?;
         let covariances = read(stream, &b.covariances, n)?;
         let colours = read(stream, &b.colours, n)?;

@@ -1,12 +1,12 @@
 //! The mask loss on the device: rendered probabilities of motion are compared with motion masks.
 //!
 //! `oracle::mask` has the formulae. [`paint`] turns the Gaussians' probabilities of motion into colours,
-//! [`Render::blend`] blends these, [`compare`] compares the result with the mask, and [`vote`]
-//! distributes what [`Render::blend_backward`] gathers over the Gaussians. This costs one more blending
+//! [`Frame::blend`] blends these, [`compare`] compares the result with the mask, and [`vote`]
+//! distributes what [`Frame::blend_backward`] gathers over the Gaussians. This costs one more blending
 //! pass forward and one backward, without projection and sorting.
 //!
-//! [`Render::blend`]: super::render::Render::blend
-//! [`Render::blend_backward`]: super::render::Render::blend_backward
+//! [`Frame::blend`]: super::render::Frame::blend
+//! [`Frame::blend_backward`]: super::render::Frame::blend_backward
 
 use super::at_least;
 use super::render::{PixelBuffers, PixelGradients};

@@ -33,19 +33,19 @@ impl Renderer {
             });
         }
         let capacity = self.gaussians.capacity();
-        let Some(FrameResources { render, scratch, painted, .. }) = &mut self.resources else {
+        let Some(FrameResources { frame, painted, .. }) = &mut self.resources else {
             return Err(Error::Input("nothing was rendered that could be painted anew".into()));
         };
         if painted.is_none() {
             let colours = self.device.buffer("values to paint", capacity)?;
-            *painted = Some((colours, render.pixels(&self.device)?));
+            *painted = Some((colours, frame.plan().pixels(&self.device)?));
         }
         let (colours, pixels) = painted.as_mut().expect("made above");
         let mut rows: Vec<[f32; 4]> = values.iter().map(|&[x, y, z]| [x, y, z, 0.0]).collect();
         rows.resize(capacity, [0.0; 4]);
         self.stream.upload(colours, &rows)?;
         let mut recorder = self.stream.record()?;
-        render.blend(&mut recorder, colours.view(), scratch, pixels)?;
+        frame.blend(&mut recorder, Some(colours.view()), pixels.views_mut())?;
         self.stream.submit(recorder)?;
         let (width, height) = (pixels.width, pixels.height);
         let rgba = self.stream.download(&pixels.rgba)?.into_flattened();

@@ -48,7 +48,7 @@ use crate::gpu::{Buffer, Device, Readback, Recorder, Rehearsal, Stream, ViewMut}
 use crate::ops::gaussians::{GaussianBuffers, GaussianViews};
 use crate::ops::half::{HalfHarmonics, HalfShapes};
 use crate::ops::motion::Motion;
-use crate::ops::render::{FrameCounts, PixelBuffers, PixelViews, Render, RenderScratch};
+use crate::ops::render::{self, FrameCounts, PixelBuffers, PixelViews, Render};
 use crate::scene::Scene;
 use crate::types::{Camera, DeformNet, Gaussians, Image, RenderSettings, Tuning, range};
 use crate::{Error, Result};
@@ -105,11 +105,9 @@ impl Half {
     }
 }
 
-/// The frame resources: buffers and plans for images of one size.
+/// The buffers and plans for images of one size.
 struct FrameResources {
-    render: Render,
-    scratch: RenderScratch,
-    pixels: PixelBuffers,
+    frame: render::Frame,
     /// Per-Gaussian colours that mark the dynamic Gaussians, and the image blended from them.
     moving: Option<(Buffer<[f32; 4]>, PixelBuffers)>,
     /// Per-Gaussian values in place of colours, and the image blended from them.
@@ -247,7 +245,7 @@ impl Renderer {
     /// `None` before the first frame. Do not keep references to their content: the next frame
     /// overwrites it.
     pub fn pixels(&self) -> Option<&PixelBuffers> {
-        self.resources.as_ref().map(|resources| &resources.pixels)
+        self.resources.as_ref().map(|resources| &resources.frame.pixels)
     }
 
     /// Renders the scene as `camera` sees it at `time` in [0, 1], and waits for it.
@@ -259,9 +257,9 @@ impl Renderer {
     pub fn render(&mut self, camera: &Camera, time: f64) -> Result<Rendered> {
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
         self.draw(camera, time)?;
-        let resources = self.resources.as_ref().expect("just drawn");
-        let rgba = self.stream.download(&resources.pixels.rgba)?.into_flattened();
-        let depth = self.stream.download(&resources.pixels.depth)?;
+        let pixels = &self.resources.as_ref().expect("just drawn").frame.pixels;
+        let rgba = self.stream.download(&pixels.rgba)?.into_flattened();
+        let depth = self.stream.download(&pixels.depth)?;
         Ok(Rendered {
             rgba: Image { width, height, channels: 4, pixels: rgba },
             depth: Image { width, height, channels: 1, pixels: depth },
@@ -292,7 +290,7 @@ impl Renderer {
     ///
     /// The dispatches, in order: in a moving scene those of
     /// [`Motion::forward`](crate::ops::motion::Motion::forward); those of
-    /// [`Render::forward`](crate::ops::render::Render::forward); with a mask one more blending
+    /// [`Frame::forward`](crate::ops::render::Frame::forward); with a mask one more blending
     /// dispatch.
     ///
     /// # Errors
@@ -307,8 +305,9 @@ impl Renderer {
         target: Target<'_>,
     ) -> Result<Frame> {
         camera.check().and_then(|()| range::moment(time)).map_err(Error::Input)?;
-        let is_large_enough =
-            |resources: &FrameResources| resources.render.intersection_capacity() >= self.capacity;
+        let is_large_enough = |resources: &FrameResources| {
+            resources.frame.plan().intersection_capacity() >= self.capacity
+        };
         if !self.has_resources(camera) || !self.resources.as_ref().is_some_and(is_large_enough) {
             self.make_resources(camera)?;
         }
@@ -320,23 +319,17 @@ impl Renderer {
             None => self.device.readback(2)?,
         };
         let Renderer { gaussians, motion, half, tuning, resources, identity, .. } = self;
-        let FrameResources { render, scratch, pixels, moving, .. } =
-            resources.as_mut().expect("planned above");
+        let FrameResources { frame, moving, .. } = resources.as_mut().expect("planned above");
         let views = moved(gaussians, half, motion.as_mut(), tuning, recorder, time)?;
-        let mut own = pixels.views_mut();
-        if let Some(rgba) = target.rgba {
-            own.rgba = rgba;
-        }
-        if let Some(depth) = target.depth {
-            own.depth = depth;
-        }
-        render.forward_into(recorder, camera, views, scratch, own)?;
+        let out = PixelViews { rgba: target.rgba, depth: target.depth, last: None };
+        frame.forward(recorder, camera, views, out)?;
         if let (Some(mask), Some((colours, painted))) = (target.mask, moving) {
-            let pixels = PixelViews { rgba: mask, ..painted.views_mut() };
-            render.blend_into(recorder, colours.view(), scratch, pixels)?;
+            let out = PixelViews { rgba: Some(mask), ..painted.views_mut() };
+            frame.blend(recorder, Some(colours.view()), out)?;
         }
-        recorder.read_back(scratch.device_counts(), &counts);
-        Ok(Frame { counts, capacity: render.intersection_capacity(), of: identity.clone() })
+        recorder.read_back(frame.device_counts(), &counts);
+        let capacity = frame.plan().intersection_capacity();
+        Ok(Frame { counts, capacity, of: identity.clone() })
     }
 
     /// Retires a frame that the device is known to be done with: after [`Stream::wait`] for its
@@ -384,12 +377,12 @@ impl Renderer {
         }
         let mut recorder = self.stream.record()?;
         let Renderer { stream, gaussians, motion, half, tuning, resources, .. } = self;
-        let FrameResources { render, scratch, .. } = resources.as_mut().expect("made above");
+        let frame = &mut resources.as_mut().expect("made above").frame;
         let views = moved(gaussians, half, motion.as_mut(), tuning, &mut recorder, time)?;
         let len = views.len;
-        render.project(&mut recorder, camera, views, scratch)?;
+        frame.project(&mut recorder, camera, views)?;
         stream.submit(recorder)?;
-        let counts = stream.download(&scratch.tile_counts)?;
+        let counts = stream.download(&frame.scratch.tile_counts)?;
         Ok(counts[..len].iter().map(|&count| u64::from(count)).sum())
     }
 
@@ -455,13 +448,7 @@ impl Renderer {
         let render = Render::plan(device, gaussians, capacity, width, height, self.settings)?
             .with_depth_bits(device, self.tuning.depth_bits)?
             .with_raster(self.tuning.raster);
-        Ok(FrameResources {
-            scratch: render.scratch(device)?,
-            pixels: render.pixels(device)?,
-            moving: None,
-            painted: None,
-            render,
-        })
+        Ok(FrameResources { frame: render.frame(device)?, moving: None, painted: None })
     }
 
     /// Allocates the buffers for a mask, if they do not exist.
@@ -474,7 +461,7 @@ impl Renderer {
         let mut colours: Vec<[f32; 4]> = self.motion_logits.iter().map(red).collect();
         colours.resize(self.gaussians.capacity(), [0.0; 4]);
         let colours = self.device.upload("what moves", &colours)?;
-        resources.moving = Some((colours, resources.render.pixels(&self.device)?));
+        resources.moving = Some((colours, resources.frame.plan().pixels(&self.device)?));
         Ok(())
     }
 }

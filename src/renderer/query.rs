@@ -105,7 +105,7 @@ impl Renderer {
         let resources = self.resources.as_ref().expect("a frame was drawn");
         let mut gathered = self.device.buffer::<T>("rows asked for", rows.len())?;
         let mut recorder = self.stream.record()?;
-        let all = array(&resources.scratch);
+        let all = array(&resources.frame.scratch);
         for (to, &from) in rows.iter().enumerate() {
             recorder.copy(all.range(from..from + 1), gathered.range_mut(to..to + 1));
         }

@@ -4,7 +4,7 @@ use super::settings::TrainSettings;
 use super::views::TrainingView;
 use crate::gpu::{Buffer, Device, Rehearsal};
 use crate::ops::loss::{KnownDisparity, Loss, LossScratch, Reference};
-use crate::ops::render::{BackwardScratch, PixelBuffers, PixelGradients, Render, RenderScratch};
+use crate::ops::render::{Frame, FrameGradients, Render};
 use crate::types::{Camera, RasterKind, RenderSettings};
 use crate::{Error, Result};
 use std::collections::BTreeMap;
@@ -74,11 +74,7 @@ impl DeviceView {
 /// Frame resources: everything that rendering images of one size and comparing them with references
 /// needs.
 pub(super) struct FrameResources {
-    pub(super) render: Render,
-    pub(super) scratch: RenderScratch,
-    pub(super) backward: BackwardScratch,
-    pub(super) pixels: PixelBuffers,
-    pub(super) pixel_gradients: PixelGradients,
+    pub(super) frame: Frame<FrameGradients>,
     pub(super) loss: Loss,
     pub(super) loss_scratch: LossScratch,
 }
@@ -96,13 +92,9 @@ impl FrameResources {
             .with_raster(raster);
         let loss = Loss::plan(device, size.0, size.1);
         Ok(FrameResources {
-            scratch: render.scratch(device)?,
-            backward: render.backward_scratch(device)?,
-            pixels: render.pixels(device)?,
-            pixel_gradients: render.pixel_gradients(device)?,
+            frame: render.differentiable(device)?,
             loss_scratch: loss.scratch(device)?,
             loss,
-            render,
         })
     }
 }
@@ -175,7 +167,7 @@ impl FramePool {
 
     /// The capacity for intersections of each image size.
     pub(super) fn capacities(&self) -> Vec<((u32, u32), usize)> {
-        let capacity = |resources: &FrameResources| resources.render.intersection_capacity();
+        let capacity = |all: &FrameResources| all.frame.plan().intersection_capacity();
         self.by_size.iter().map(|(&size, resources)| (size, capacity(resources))).collect()
     }
 

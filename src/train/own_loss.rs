@@ -39,7 +39,7 @@ use super::settings::TrainSettings;
 use super::trainer::Trainer;
 use crate::gpu::{Buffer, Device, Readback, Recorder, View};
 use crate::ops::gaussians::GaussianBuffers;
-use crate::ops::render::{FrameCounts, PixelBuffers, PixelGradientViews};
+use crate::ops::render::{FrameCounts, PixelBuffers, PixelGradientViews, PixelViews};
 use crate::types::{Camera, Gaussians, range};
 use crate::{Error, Result};
 
@@ -118,13 +118,12 @@ impl Trainer {
             }
             None => canonical,
         };
-        let (scratch, pixels) = (&mut resources.scratch, &mut resources.pixels);
-        resources.render.forward(recorder, camera, scene, scratch, pixels)?;
+        resources.frame.forward(recorder, camera, scene, PixelViews::default())?;
         let counts = match self.idle.pop() {
             Some(readback) => readback,
             None => self.device.readback(2)?,
         };
-        recorder.read_back(resources.scratch.device_counts(), &counts);
+        recorder.read_back(resources.frame.device_counts(), &counts);
         self.own = Some(OwnStep { size, counts, stage: Stage::Forward });
         Ok(())
     }
@@ -135,7 +134,7 @@ impl Trainer {
     /// [`Error::Input`] outside of a step.
     pub fn pixels(&mut self) -> Result<&PixelBuffers> {
         let size = self.under_way("pixels", &[Stage::Forward, Stage::Backward, Stage::Update])?;
-        Ok(&self.frame_pool.for_size(&self.device, size)?.pixels)
+        Ok(&self.frame_pool.for_size(&self.device, size)?.frame.pixels)
     }
 
     /// Whether the current step's frame fits the capacity for (splat, tile) pairs. Valid after the device has
@@ -156,7 +155,7 @@ impl Trainer {
         own.counts.read_into(&mut words)?;
         let needed = FrameCounts::from_device(words).intersections;
         let resources = self.frame_pool.for_size(&self.device, own.size)?;
-        Ok((needed > resources.render.intersection_capacity()).then_some(needed))
+        Ok((needed > resources.frame.plan().intersection_capacity()).then_some(needed))
     }
 
     /// Records the gradients with respect to every parameter and to the camera's pose, from the gradient
@@ -176,19 +175,10 @@ impl Trainer {
             None => canonical,
         };
         if by.depth.is_none() {
-            recorder.fill(resources.pixel_gradients.depth.view_mut(), 0);
+            recorder.fill(resources.frame.gradients.pixels.depth.view_mut(), 0);
         }
-        let depth = by.depth.unwrap_or(resources.pixel_gradients.depth.view());
-        resources.render.backward_from(
-            recorder,
-            scene,
-            &resources.scratch,
-            &resources.pixels,
-            PixelGradientViews { rgba: by.rgba, depth },
-            &mut resources.backward,
-            &mut self.gradients,
-            true,
-        )?;
+        let by = PixelGradientViews { rgba: Some(by.rgba), depth: by.depth };
+        resources.frame.backward(recorder, scene, by, &mut self.gradients, true)?;
         self.gather(recorder, size)?;
         self.reach_stage(Stage::Backward);
         Ok(())
@@ -207,7 +197,7 @@ impl Trainer {
     /// [`Error::Input`] outside of a step.
     pub fn pose_gradient(&mut self) -> Result<&Buffer<f32>> {
         let size = self.under_way("pose gradient", &[Stage::Backward, Stage::Update])?;
-        Ok(self.frame_pool.for_size(&self.device, size)?.backward.pose())
+        Ok(self.frame_pool.for_size(&self.device, size)?.frame.gradients.pose())
     }
 
     /// The gradients with respect to the parameters of the paths or the network, and to the logarithms

@@ -6,7 +6,6 @@
 //! that the masks show to be static. After that the selection is fixed: each Gaussian moves fully or not
 //! at all, as in rendering, for the rest of the training.
 
-use super::frame_pool::FrameResources;
 use super::settings::{SelectionSettings, exponential};
 use crate::Result;
 use crate::gpu::{Buffer, Recorder, Stream, View, ViewMut};
@@ -14,6 +13,7 @@ use crate::ops::adam::{Adam, AdamArgs};
 use crate::ops::deform::SoftMotion;
 use crate::ops::mask::{self, VoteArgs};
 use crate::ops::motion::SoftGradients;
+use crate::ops::render::{Frame, FrameGradients, PixelGradientViews, PixelViews};
 use crate::types::AdamSettings;
 #[cfg(feature = "files")]
 use serde::{Deserialize, Serialize};
@@ -186,7 +186,7 @@ impl Selection {
     pub(super) fn train(
         &mut self,
         recorder: &mut Recorder,
-        resources: &mut FrameResources,
+        frame: &mut Frame<FrameGradients>,
         mask: Option<&Buffer<f32>>,
         count: usize,
         step: u32,
@@ -205,27 +205,19 @@ impl Selection {
             let weight = exponential(settings.mask_weight, settings.mask_weight_last, step, last);
             // The loss occurs in one of several steps and is weighted to count for all of them.
             let weight = weight * f64::from(settings.mask_every.max(1));
-            let FrameResources { render, scratch, backward, pixels, pixel_gradients, .. } =
-                resources;
             mask::paint(recorder, logits.range(0..count), training.colours.view_mut())?;
             let colours = training.colours.view();
-            render.blend(recorder, colours, scratch, pixels)?;
-            mask::compare(recorder, pixels, mask.view(), weight, pixel_gradients)?;
-            render.blend_backward(
-                recorder,
-                colours,
-                count,
-                scratch,
-                pixels,
-                pixel_gradients,
-                backward,
-            )?;
+            frame.blend(recorder, Some(colours), PixelViews::default())?;
+            let Frame { pixels, gradients, .. } = frame;
+            mask::compare(recorder, pixels, mask.view(), weight, &mut gradients.pixels)?;
+            let by = PixelGradientViews::default();
+            frame.blend_backward(recorder, Some(colours), count, by)?;
             mask::vote(
                 recorder,
                 VoteArgs {
-                    colour_gradients: backward.colour_gradients(count),
-                    visible: scratch.visible(),
-                    fits: scratch.fits(),
+                    colour_gradients: frame.gradients.colours(count),
+                    visible: frame.visible(),
+                    fits: frame.fits(),
                     motion_logits: logits.range(0..count),
                     motion_gradients: training.gradients.range_mut(0..count),
                     votes: training.votes.range_mut(0..2 * count),
@@ -242,7 +234,7 @@ impl Selection {
                 first: training.first.range_mut(0..count),
                 second: training.second.range_mut(0..count),
                 // The array is a single row, so that a frame that did not fit changes nothing.
-                visible: Some((count, resources.scratch.fits())),
+                visible: Some((count, frame.fits())),
             },
         )
     }

@@ -12,7 +12,7 @@ use super::views::{TrainingView, due, extent, scene_radius};
 use crate::gpu::{Device, Readback, Recorder, Stream, Ticket};
 use crate::ops::gaussians::GaussianBuffers;
 use crate::ops::loss::{LossSettings, LossValue};
-use crate::ops::render::FrameCounts;
+use crate::ops::render::{FrameCounts, PixelGradientViews, PixelViews};
 use crate::types::range::{self, Check};
 use crate::types::{DeformNet, Gaussians};
 use crate::{Error, Result};
@@ -309,7 +309,7 @@ impl Trainer {
         }
         let size = (view.camera.intrinsics.width, view.camera.intrinsics.height);
         let resources = self.frame_pool.for_size(&self.device, size)?;
-        view.reference.psnr(&mut self.stream, &resources.pixels, self.settings.background)
+        view.reference.psnr(&mut self.stream, &resources.frame.pixels, self.settings.background)
     }
 
     /// Waits and reads the Gaussians.
@@ -404,36 +404,23 @@ impl Trainer {
             }
             None => canonical,
         };
-        resources.render.forward(
-            &mut recorder,
-            &view.camera,
-            scene,
-            &mut resources.scratch,
-            &mut resources.pixels,
-        )?;
+        let frame = &mut resources.frame;
+        frame.forward(&mut recorder, &view.camera, scene, PixelViews::default())?;
         resources.loss.record(
             &mut recorder,
             &loss,
-            &resources.pixels,
+            &frame.pixels,
             &view.reference,
             view.disparity.as_ref(),
-            &mut resources.pixel_gradients,
+            &mut frame.gradients.pixels,
             &mut resources.loss_scratch,
         )?;
-        resources.render.backward(
-            &mut recorder,
-            scene,
-            &resources.scratch,
-            &resources.pixels,
-            &resources.pixel_gradients,
-            &mut resources.backward,
-            &mut self.gradients,
-            false,
-        )?;
+        let by = PixelGradientViews::default();
+        frame.backward(&mut recorder, scene, by, &mut self.gradients, false)?;
         self.gather(&mut recorder, size)?;
         self.learn(&mut recorder, size, Some(index))?;
         let resources = self.frame_pool.for_size(&self.device, size)?;
-        recorder.read_back(resources.scratch.device_counts(), &counts);
+        recorder.read_back(resources.frame.device_counts(), &counts);
         let ticket = self.stream.submit(recorder)?;
         self.pending.push_back(Pending { view: index, counts: Counts::UnderWay(ticket, counts) });
         Ok(())
@@ -446,8 +433,7 @@ impl Trainer {
         let (step, steps) = (self.step, self.settings.steps);
         let canonical = self.gaussians.views().at_degree(self.settings.sh_degree_at(step));
         if let Some(statistics) = &mut self.statistics {
-            let (scratch, backward) = (&resources.scratch, &resources.backward);
-            statistics.add(recorder, canonical.len, scratch, backward, size)?;
+            statistics.add(recorder, canonical.len, &resources.frame)?;
         }
         if let (Some(motion), Some(selection)) = (&mut self.motion, &mut self.selection) {
             let (n, listed) = (canonical.len, motion.motion.dynamic);
@@ -468,9 +454,16 @@ impl Trainer {
         let resources = self.frame_pool.for_size(&self.device, size)?;
         let (step, steps) = (self.step, self.settings.steps);
         if let (Some(motion), Some(selection)) = (&mut self.motion, &mut self.selection) {
-            motion.update(recorder, step, steps, resources.scratch.fits())?;
+            motion.update(recorder, step, steps, resources.frame.fits())?;
             let mask = view.and_then(|view| self.views[view].mask.as_ref());
-            selection.train(recorder, resources, mask, self.gaussians.len, step, steps)?;
+            selection.train(
+                recorder,
+                &mut resources.frame,
+                mask,
+                self.gaussians.len,
+                step,
+                steps,
+            )?;
         }
         if let Some(growth) = &self.growth {
             growth.regularise(recorder, &self.gaussians, &mut self.gradients)?;
@@ -481,7 +474,7 @@ impl Trainer {
             step,
             self.extent,
             self.settings.sh_degree_at(step),
-            resources.scratch.fits(),
+            resources.frame.fits(),
             &mut self.gaussians,
             &self.gradients,
         )?;
@@ -530,7 +523,7 @@ impl Trainer {
         let k = self.views[pending.view].camera.intrinsics;
         let size = (k.width, k.height);
         let resources = self.frame_pool.for_size(&self.device, size)?;
-        if counts.intersections > resources.render.intersection_capacity() {
+        if counts.intersections > resources.frame.plan().intersection_capacity() {
             // The device has not changed the parameters; the view is repeated.
             self.frame_pool.grow(&self.device, size, counts.intersections)?;
             self.round.push(pending.view);

@@ -166,7 +166,7 @@ fn check_projection(
         check.close(name, &device, &exact, bound);
     };
     // Rounding of coordinates up to 6, times the focal length over the depth.
-    let width = f64::from(frame.pixels.width);
+    let width = f64::from(frame.size()[0]);
     hold("means", &|s| s.mean.to_vec(), Bound { absolute: 4e-6 * width, relative: 2e-6 });
     let trace = |s: &Splat<f64>| vec![s.conic[0] + s.conic[2]];
     hold("conics", &trace, Bound { absolute: 0.0, relative: 3e-5 });
@@ -212,7 +212,7 @@ fn check_lists(check: &mut Check, frame: &mut Frame) -> Result<()> {
 /// Compares the image, given the splats and lists that the device has made.
 fn check_image(check: &mut Check, frame: &mut Frame, settings: &RenderSettings) -> Result<()> {
     let listed = frame.listed()?;
-    let (width, height) = (frame.pixels.width, frame.pixels.height);
+    let [width, height] = frame.size();
     let truth = raster::forward(&listed.splats, &listed.bins, settings, width, height);
     image(check, "image", &frame.image()?, &truth);
     Ok(())
@@ -246,7 +246,7 @@ fn check_gradients(
     settings: &RenderSettings,
 ) -> Result<()> {
     let listed = frame.listed()?;
-    let (width, height) = (frame.pixels.width, frame.pixels.height);
+    let [width, height] = frame.size();
     let count = width as usize * height as usize;
     let mut rng = rng(seed + 7);
     let rgba: Vec<[f32; 4]> =

@@ -49,14 +49,14 @@ pub fn jitter(
 
 /// Records the addition of one view's gradients to the statistics of [`Adaptation`]. The gradients are
 /// those with respect to mean x, mean y (pixels), depth and opacity
-/// ([`BackwardScratch::mean_gradients`]); the statistics are the sum of norms in units of half the
+/// ([`FrameGradients::means`]); the statistics are the sum of norms in units of half the
 /// image, and the number of views. Gaussians whose entry in `visible` is 0 are skipped, and nothing is
 /// added where `fits` holds 0.
 ///
 /// # Errors
 /// [`Error::Shape`] where the lengths disagree; gradients and visibility may be longer.
 ///
-/// [`BackwardScratch::mean_gradients`]: crate::ops::render::BackwardScratch::mean_gradients
+/// [`FrameGradients::means`]: crate::ops::render::FrameGradients::means
 pub fn accumulate(
     recorder: &mut Recorder,
     statistics: ViewMut<'_, f32>,

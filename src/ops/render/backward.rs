@@ -1,15 +1,18 @@
 //! The backward pass: from the gradient with respect to an image to the gradients with respect to the
 //! Gaussians and the camera.
 
-use super::{PixelBuffers, Render, RenderScratch};
+use super::{Frame, Render};
 use crate::gpu::{Buffer, Device, Groups, Kernel, Profile, Recorder, View, ViewMut};
 use crate::kernels::{project, raster};
 use crate::ops::at_least;
 use crate::ops::gaussians::{GaussianBuffers, GaussianViews};
 use crate::{Error, Result};
 
-/// Intermediate buffers of the backward pass.
-pub struct BackwardScratch {
+/// The buffers of a frame's backward pass: its input, and the gradients with respect to the splats and
+/// the pose.
+pub struct FrameGradients {
+    /// The loss's gradient with respect to the image.
+    pub pixels: PixelGradients,
     pub(crate) slots_a: Buffer<[f32; 4]>,
     pub(crate) slots_b: Buffer<[f32; 4]>,
     pub(crate) slots_c: Buffer<[f32; 2]>,
@@ -29,13 +32,14 @@ pub struct PixelGradients {
 }
 
 impl Render {
-    /// Allocates the intermediate buffers of [`backward`](Self::backward).
+    /// Allocates a frame that can be differentiated.
     ///
     /// # Errors
     /// [`Error::OutOfMemory`].
-    pub fn backward_scratch(&self, device: &Device) -> Result<BackwardScratch> {
+    pub fn differentiable(&self, device: &Device) -> Result<Frame<FrameGradients>> {
         let (n, m) = (self.gaussians, self.intersections);
-        Ok(BackwardScratch {
+        let gradients = FrameGradients {
+            pixels: self.pixel_gradients(device)?,
             slots_a: device.buffer("gradient slots a", m)?,
             slots_b: device.buffer("gradient slots b", m)?,
             slots_c: device.buffer("gradient slots c", m)?,
@@ -44,7 +48,9 @@ impl Render {
             colours: device.buffer("colour gradients", n)?,
             pose_partials: device.buffer("pose partials", 8 * n.div_ceil(64))?,
             pose: device.buffer("pose gradient", 6)?,
-        })
+        };
+        let Frame { plan, scratch, pixels, gradients: () } = self.frame(device)?;
+        Ok(Frame { plan, scratch, pixels, gradients })
     }
 
     /// Allocates the gradient with respect to an image of this renderer's size.
@@ -58,46 +64,24 @@ impl Render {
             depth: device.buffer("depth gradient", pixels)?,
         })
     }
+}
 
+impl Frame<FrameGradients> {
     /// Records the gradients of a loss with respect to every parameter. Their input is the gradient with
-    /// respect to the image that [`forward`](Self::forward) has just rendered with the same camera,
-    /// Gaussians and scratch. Dispatches: `raster/backward`, `raster/gather`, `project/backward`, and
-    /// with a pose `project/pose`.
+    /// respect to the image that [`forward`](Self::forward) has just rendered from the same Gaussians into
+    /// the frame's own pixels. Dispatches: those of [`blend_backward`](Self::blend_backward),
+    /// `project/backward`, and with a pose `project/pose`.
     ///
     /// Culled Gaussians get zeros. `with_pose` adds the gradient with respect to a left perturbation of
-    /// `view_from_world` (translation, rotation): [`BackwardScratch::pose`].
+    /// `view_from_world` (translation, rotation): [`FrameGradients::pose`].
     ///
     /// # Errors
     /// [`Error::Shape`] when `gradients` is too small; else as for [`Recorder::dispatch`].
     pub fn backward(
-        &self,
+        &mut self,
         recorder: &mut Recorder,
         gaussians: GaussianViews<'_>,
-        scratch: &RenderScratch,
-        pixels: &PixelBuffers,
-        pixel_gradients: &PixelGradients,
-        backward: &mut BackwardScratch,
-        gradients: &mut GaussianBuffers,
-        with_pose: bool,
-    ) -> Result<()> {
-        let given = pixel_gradients.views();
-        self.backward_from(
-            recorder, gaussians, scratch, pixels, given, backward, gradients, with_pose,
-        )
-    }
-
-    /// As [`backward`](Self::backward), with image gradients in arbitrary buffers.
-    ///
-    /// # Errors
-    /// As for [`backward`](Self::backward).
-    pub fn backward_from(
-        &self,
-        recorder: &mut Recorder,
-        gaussians: GaussianViews<'_>,
-        scratch: &RenderScratch,
-        pixels: &PixelBuffers,
-        pixel_gradients: PixelGradientViews<'_>,
-        backward: &mut BackwardScratch,
+        by: PixelGradientViews<'_>,
         gradients: &mut GaussianBuffers,
         with_pose: bool,
     ) -> Result<()> {
@@ -108,12 +92,9 @@ impl Render {
         }
         gradients.len = gaussians.len;
         gradients.views().at_degree(gaussians.sh_degree).check("render backward gradients")?;
-        let colours = scratch.colours.view();
-        let n = gaussians.len;
-        let given = pixel_gradients;
-        self.blend_backward_from(recorder, colours, n, scratch, pixels, given, backward)?;
+        self.blend_backward(recorder, None, gaussians.len, by)?;
+        let Frame { plan, scratch: s, gradients: b, .. } = self;
         let groups = Groups::linear(gaussians.len, 64, recorder.device().limits())?;
-        let (s, b) = (scratch, backward);
         let [sh0, sh1, sh2, sh3] = gradients.sh.each_mut().map(Buffer::view_mut);
         let [band1, band2, band3] = gaussians.bands();
         recorder.dispatch_specialised::<project::Backward>(
@@ -121,11 +102,11 @@ impl Render {
             groups,
             project::BackwardParams {
                 count: gaussians.len as u32,
-                width: self.width,
-                height: self.height,
-                near: self.settings.near,
-                dilation: self.settings.dilation,
-                tangent_clamp: self.settings.tangent_clamp,
+                width: plan.width,
+                height: plan.height,
+                near: plan.settings.near,
+                dilation: plan.settings.dilation,
+                tangent_clamp: plan.settings.tangent_clamp,
             },
             project::BackwardArgs {
                 camera: s.camera.view(),
@@ -164,56 +145,41 @@ impl Render {
 
     /// Records the gradients of a loss with respect to the projected splats and their colours, for the
     /// first `count` Gaussians. Their input is the gradient with respect to the image that
-    /// [`blend`](Self::blend) (or [`forward`](Self::forward)) has rendered with these colours. The
-    /// results are [`BackwardScratch::colour_gradients`] and [`BackwardScratch::mean_gradients`].
+    /// [`blend`](Self::blend) has rendered into the frame's own pixels with these colours. The results
+    /// are [`FrameGradients::colours`] and [`FrameGradients::means`]. Dispatches: `raster/backward` or
+    /// `raster/backward_narrow`, `raster/gather`.
     ///
     /// # Errors
     /// As for [`backward`](Self::backward).
     pub fn blend_backward(
-        &self,
+        &mut self,
         recorder: &mut Recorder,
-        colours: View<'_, [f32; 4]>,
+        colours: Option<View<'_, [f32; 4]>>,
         count: usize,
-        scratch: &RenderScratch,
-        pixels: &PixelBuffers,
-        pixel_gradients: &PixelGradients,
-        backward: &mut BackwardScratch,
+        by: PixelGradientViews<'_>,
     ) -> Result<()> {
-        let given = pixel_gradients.views();
-        self.blend_backward_from(recorder, colours, count, scratch, pixels, given, backward)
-    }
-
-    fn blend_backward_from(
-        &self,
-        recorder: &mut Recorder,
-        colours: View<'_, [f32; 4]>,
-        count: usize,
-        scratch: &RenderScratch,
-        pixels: &PixelBuffers,
-        pixel_gradients: PixelGradientViews<'_>,
-        backward: &mut BackwardScratch,
-    ) -> Result<()> {
-        self.check_scratch(scratch)?;
-        self.check_size("render backward", pixels.width, pixels.height)?;
-        let area = self.width as usize * self.height as usize;
+        let Frame { plan, scratch: s, pixels, gradients: b } = self;
+        plan.check_count(count)?;
+        let area = plan.width as usize * plan.height as usize;
+        let rgba_gradient = by.rgba.unwrap_or(b.pixels.rgba.view());
+        let depth_gradient = by.depth.unwrap_or(b.pixels.depth.view());
         at_least(
             "render backward",
             &[
-                ("Gaussians of the scratch", count, backward.means.len()),
-                ("intersections of the scratch", self.intersections, backward.slots_a.len()),
-                ("rgba gradients", area, pixel_gradients.rgba.len()),
-                ("depth gradients", area, pixel_gradients.depth.len()),
+                ("rgba", area, pixels.rgba.len()),
+                ("depth", area, pixels.depth.len()),
+                ("rgba gradients", area, rgba_gradient.len()),
+                ("depth gradients", area, depth_gradient.len()),
             ],
         )?;
         let limits = *recorder.device().limits();
         let groups = Groups::linear(count, 64, &limits)?;
-        let (s, b) = (scratch, backward);
-        let tiles = self.tile_groups(recorder.device())?;
+        let tiles = plan.tile_groups(recorder.device())?;
         let params = raster::BackwardParams {
-            width: self.width,
-            height: self.height,
-            alpha_cut: self.settings.alpha_cut,
-            alpha_cap: self.settings.alpha_cap,
+            width: plan.width,
+            height: plan.height,
+            alpha_cut: plan.settings.alpha_cut,
+            alpha_cap: plan.settings.alpha_cap,
         };
         let args = raster::BackwardArgs {
             ranges: s.ranges.view(),
@@ -221,20 +187,20 @@ impl Render {
             splat_from_emitted: s.splat_from_emitted.view(),
             means: s.means.view(),
             conics: s.conics.view(),
-            colours,
+            colours: colours.unwrap_or(s.colours.view()),
             rgba: pixels.rgba.view(),
             depth: pixels.depth.view(),
             last: pixels.last.view(),
-            rgba_gradient: pixel_gradients.rgba,
-            depth_gradient: pixel_gradients.depth,
+            rgba_gradient,
+            depth_gradient,
             slots_a: b.slots_a.view_mut(),
             slots_b: b.slots_b.view_mut(),
             slots_c: b.slots_c.view_mut(),
         };
-        let Profile { shuffles, spread, narrow_tiles, .. } = self.profile;
+        let Profile { shuffles, spread, narrow_tiles, .. } = plan.profile;
         let constants = raster::BackwardConstants { shuffles, several: true, spread };
         if narrow_tiles {
-            let several = self.subgroup_size < raster::BackwardNarrow::WORKGROUP[0];
+            let several = plan.subgroup_size < raster::BackwardNarrow::WORKGROUP[0];
             let constants = raster::BackwardConstants { several, ..constants };
             recorder
                 .dispatch_specialised::<raster::BackwardNarrow>(constants, tiles, params, args)?;
@@ -242,9 +208,9 @@ impl Render {
             recorder.dispatch_specialised::<raster::Backward>(constants, tiles, params, args)?;
         }
         recorder.dispatch_specialised::<raster::Gather>(
-            raster::GatherConstants { spread: self.profile.spread },
+            raster::GatherConstants { spread: plan.profile.spread },
             groups,
-            raster::GatherParams { count: count as u32, capacity: self.intersections as u32 },
+            raster::GatherParams { count: count as u32, capacity: plan.intersections as u32 },
             raster::GatherArgs {
                 visible_count: s.visible_count.view(),
                 splat_from_rank: s.splat_from_rank.view(),
@@ -263,7 +229,7 @@ impl Render {
     }
 }
 
-impl BackwardScratch {
+impl FrameGradients {
     /// The gradient with respect to the camera's pose: translation, rotation (6 values).
     pub fn pose(&self) -> &Buffer<f32> {
         &self.pose
@@ -271,31 +237,32 @@ impl BackwardScratch {
 
     /// Gradients of the last frame with respect to the projected splats: mean x, mean y (pixels), depth,
     /// opacity. Values of culled Gaussians are undefined.
-    pub fn mean_gradients(&self) -> View<'_, [f32; 4]> {
+    pub fn means(&self) -> View<'_, [f32; 4]> {
         self.means.view()
     }
 
     /// Gradients of the last frame with respect to the colours of the first `count` Gaussians: red,
     /// green, blue, unused. Values of culled Gaussians are undefined.
-    pub fn colour_gradients(&self, count: usize) -> View<'_, [f32; 4]> {
+    pub fn colours(&self, count: usize) -> View<'_, [f32; 4]> {
         self.colours.range(0..count)
     }
 }
 
 /// The gradient of a loss with respect to a rendered image, in pixel order (row by row), as views of
-/// arbitrary buffers, including those of a host application.
-#[derive(Clone, Copy)]
+/// arbitrary buffers, including those of a host application. A part that is `None` is read from the
+/// frame's own [`FrameGradients::pixels`].
+#[derive(Clone, Copy, Default)]
 pub struct PixelGradientViews<'a> {
     /// With respect to premultiplied colour and alpha.
-    pub rgba: View<'a, [f32; 4]>,
+    pub rgba: Option<View<'a, [f32; 4]>>,
     /// With respect to depth.
-    pub depth: View<'a, f32>,
+    pub depth: Option<View<'a, f32>>,
 }
 
 impl PixelGradients {
     /// Read-only views of all of it.
     pub fn views(&self) -> PixelGradientViews<'_> {
-        PixelGradientViews { rgba: self.rgba.view(), depth: self.depth.view() }
+        PixelGradientViews { rgba: Some(self.rgba.view()), depth: Some(self.depth.view()) }
     }
 
     /// The gradient with respect to depth. A loss without a depth term fills it with zeros.

@@ -1,131 +1,53 @@
 //! The forward pass: from Gaussians to a rendered image.
 
-use super::{PixelBuffers, PixelViews, Render, RenderScratch, device_camera};
+use super::{Frame, PixelViews, device_camera};
 use crate::Result;
 use crate::gpu::{Groups, Profile, Recorder, View};
 use crate::kernels::indirect::record_arguments;
 use crate::kernels::{bin, project, raster};
+use crate::ops::at_least;
 use crate::ops::gaussians::GaussianViews;
 use crate::ops::scan::ScanArgs;
 use crate::ops::sort::SortArgs;
 use crate::types::{Camera, RasterKind, RenderSettings};
 
-impl Render {
-    /// Records the rendering of `gaussians` from `camera` into `pixels`. Dispatches: `project/forward`;
+impl<G> Frame<G> {
+    /// Records the rendering of `gaussians` from `camera` into `out`. Dispatches: `project/forward`;
     /// those of [`Scan::record`](crate::ops::scan::Scan::record); `bin/compact`; those of
     /// [`RadixSort::record`](crate::ops::sort::RadixSort::record) by depth; `bin/counts`; a scan;
     /// `bin/emit`, `bin/fits`; a sort by tile; `indirect/arguments`, `bin/ranges`; `raster/forward` or
     /// `raster/forward_shared`.
     ///
     /// # Errors
-    /// [`Error::Shape`](crate::Error::Shape) when there are more Gaussians than planned for or the
-    /// camera's image has another size; else as for [`Recorder::dispatch`].
+    /// [`Error::Shape`](crate::Error::Shape) when there are more Gaussians than planned for, the
+    /// camera's image has another size or a view of `out` is too short; else as for
+    /// [`Recorder::dispatch`].
     pub fn forward(
-        &self,
+        &mut self,
         recorder: &mut Recorder,
         camera: &Camera,
         gaussians: GaussianViews<'_>,
-        scratch: &mut RenderScratch,
-        pixels: &mut PixelBuffers,
+        out: PixelViews<'_>,
     ) -> Result<()> {
-        self.forward_into(recorder, camera, gaussians, scratch, pixels.views_mut())
-    }
-
-    /// As [`forward`](Self::forward), into views of arbitrary buffers.
-    ///
-    /// # Errors
-    /// As for [`forward`](Self::forward); [`Error::Shape`](crate::Error::Shape) where a view is too
-    /// short.
-    pub fn forward_into(
-        &self,
-        recorder: &mut Recorder,
-        camera: &Camera,
-        gaussians: GaussianViews<'_>,
-        scratch: &mut RenderScratch,
-        pixels: PixelViews<'_>,
-    ) -> Result<()> {
-        self.check_pixels("render", &pixels)?;
         let count = gaussians.len;
-        self.project(recorder, camera, gaussians, scratch)?;
-        self.bin(recorder, count, scratch)?;
-        self.blend_into(recorder, scratch.colours.view(), scratch, pixels)
+        self.project(recorder, camera, gaussians)?;
+        self.bin(recorder, count)?;
+        self.blend(recorder, None, out)
     }
 
-    /// Records the blending of other colours, one for each Gaussian, with the splats that the last
-    /// [`forward`](Self::forward) with this scratch projected and sorted. Alpha and depth are the same
-    /// as in that pass.
-    ///
-    /// # Errors
-    /// [`Error::Shape`](crate::Error::Shape) where sizes differ; else as for [`Recorder::dispatch`].
-    pub fn blend(
-        &self,
-        recorder: &mut Recorder,
-        colours: View<'_, [f32; 4]>,
-        scratch: &RenderScratch,
-        pixels: &mut PixelBuffers,
-    ) -> Result<()> {
-        self.blend_into(recorder, colours, scratch, pixels.views_mut())
-    }
-
-    /// As [`blend`](Self::blend), into views of arbitrary buffers.
-    ///
-    /// # Errors
-    /// As for [`blend`](Self::blend); [`Error::Shape`](crate::Error::Shape) where a view is too short.
-    pub fn blend_into(
-        &self,
-        recorder: &mut Recorder,
-        colours: View<'_, [f32; 4]>,
-        scratch: &RenderScratch,
-        pixels: PixelViews<'_>,
-    ) -> Result<()> {
-        self.check_scratch(scratch)?;
-        self.check_pixels("blend", &pixels)?;
-        let s = scratch;
-        let groups = self.tile_groups(recorder.device())?;
-        let RenderSettings { alpha_cut, alpha_cap, transmittance_stop, .. } = self.settings;
-        let params = raster::ForwardParams {
-            width: self.width,
-            height: self.height,
-            alpha_cut,
-            alpha_cap,
-            transmittance_stop,
-        };
-        let args = raster::ForwardArgs {
-            ranges: s.ranges.view(),
-            emitted_from_sorted: s.emitted_from_sorted.view(),
-            splat_from_emitted: s.splat_from_emitted.view(),
-            means: s.means.view(),
-            conics: s.conics.view(),
-            colours,
-            rgba: pixels.rgba,
-            depth: pixels.depth,
-            last: pixels.last,
-        };
-        match self.raster {
-            RasterKind::Subgroup => {
-                let Profile { shuffles, spread, .. } = self.profile;
-                let constants = raster::ForwardConstants { shuffles, spread };
-                recorder.dispatch_specialised::<raster::Forward>(constants, groups, params, args)
-            }
-            RasterKind::Shared => recorder.dispatch::<raster::ForwardShared>(groups, params, args),
-        }
-    }
-
-    /// Records the first stage alone, `project/forward`. It projects the Gaussians to splats, which the
-    /// scratch then holds ([`RenderScratch::splats`]).
+    /// Records the first stage alone, `project/forward`. It projects the Gaussians to splats
+    /// ([`splats`](Self::splats)).
     ///
     /// # Errors
     /// As for [`forward`](Self::forward).
     pub fn project(
-        &self,
+        &mut self,
         recorder: &mut Recorder,
         camera: &Camera,
         gaussians: GaussianViews<'_>,
-        scratch: &mut RenderScratch,
     ) -> Result<()> {
-        self.check(camera, &gaussians)?;
-        self.check_scratch(scratch)?;
-        let s = scratch;
+        let Frame { plan, scratch: s, .. } = self;
+        plan.check(camera, &gaussians)?;
         recorder.update(s.camera.view_mut(), &device_camera(camera))?;
         let groups = Groups::linear(gaussians.len, 64, recorder.device().limits())?;
         let [band1, band2, band3] = gaussians.bands();
@@ -143,12 +65,12 @@ impl Render {
             groups,
             project::ForwardParams {
                 count: gaussians.len as u32,
-                width: self.width,
-                height: self.height,
-                near: self.settings.near,
-                dilation: self.settings.dilation,
-                alpha_cut: self.settings.alpha_cut,
-                tangent_clamp: self.settings.tangent_clamp,
+                width: plan.width,
+                height: plan.height,
+                near: plan.settings.near,
+                dilation: plan.settings.dilation,
+                alpha_cut: plan.settings.alpha_cut,
+                tangent_clamp: plan.settings.tangent_clamp,
             },
             project::ForwardArgs {
                 camera: s.camera.view(),
@@ -170,27 +92,20 @@ impl Render {
         )
     }
 
-    /// Records the second stage alone, which lists the scratch's first `len` splats by tile, front to
-    /// back ([`RenderScratch::tile_lists`]). The splats are those of [`project`](Self::project), or
-    /// splats that a host application wrote ([`RenderScratch::splats_mut`]). The third stage is
-    /// [`blend`](Self::blend).
+    /// Records the second stage alone, which lists the first `len` splats by tile, front to back
+    /// ([`tile_lists`](Self::tile_lists)). The splats are those of [`project`](Self::project), or
+    /// splats that a host application wrote ([`splats_mut`](Self::splats_mut)).
     ///
     /// # Errors
     /// As for [`forward`](Self::forward).
-    pub fn bin(
-        &self,
-        recorder: &mut Recorder,
-        len: usize,
-        scratch: &mut RenderScratch,
-    ) -> Result<()> {
-        self.check_count(len)?;
-        self.check_scratch(scratch)?;
-        let s = scratch;
+    pub fn bin(&mut self, recorder: &mut Recorder, len: usize) -> Result<()> {
+        let Frame { plan, scratch: s, .. } = self;
+        plan.check_count(len)?;
         recorder.update(s.count.view_mut(), &[len as u32])?;
         let limits = *recorder.device().limits();
         let groups = Groups::linear(len, 64, &limits)?;
-        let (count, capacity) = (len as u32, self.intersections as u32);
-        self.scan.record(
+        let (count, capacity) = (len as u32, plan.intersections as u32);
+        plan.scan.record(
             recorder,
             ScanArgs {
                 count: s.count.view(),
@@ -213,7 +128,7 @@ impl Render {
                 splat_from_visible: s.splat_from_visible.view_mut(),
             },
         )?;
-        self.depth_sort.record(
+        plan.depth_sort.record(
             recorder,
             SortArgs {
                 count: s.visible_count.view(),
@@ -235,7 +150,7 @@ impl Render {
                 counts: s.rank_counts.view_mut(),
             },
         )?;
-        self.scan.record(
+        plan.scan.record(
             recorder,
             ScanArgs {
                 count: s.count.view(),
@@ -248,9 +163,9 @@ impl Render {
             &mut s.scan,
         )?;
         recorder.dispatch_specialised::<bin::Emit>(
-            bin::EmitConstants { spread: self.profile.spread },
+            bin::EmitConstants { spread: plan.profile.spread },
             groups,
-            bin::EmitParams { count, capacity, width: self.width, height: self.height },
+            bin::EmitParams { count, capacity, width: plan.width, height: plan.height },
             bin::EmitArgs {
                 visible_count: s.visible_count.view(),
                 splat_from_rank: s.splat_from_rank.view(),
@@ -275,7 +190,7 @@ impl Render {
                 fits: s.fits.view_mut(),
             },
         )?;
-        self.tile_sort.record(
+        plan.tile_sort.record(
             recorder,
             SortArgs {
                 count: s.intersection_count.view(),
@@ -292,7 +207,7 @@ impl Render {
             recorder,
             s.intersection_count.view(),
             0,
-            self.intersections,
+            plan.intersections,
             64,
             s.grid.view_mut(),
             0,
@@ -300,12 +215,63 @@ impl Render {
         recorder.dispatch_indirect::<bin::Ranges>(
             &s.grid,
             0,
-            bin::RangesParams { capacity, tile_count: self.tiles() as u32 },
+            bin::RangesParams { capacity, tile_count: plan.tiles() as u32 },
             bin::RangesArgs {
                 total: s.intersection_count.view(),
                 tiles: s.sorted_tiles.view(),
                 ranges: s.ranges.view_mut(),
             },
         )
+    }
+
+    /// Records the third stage alone, which blends colours, one for each Gaussian, with the splats that
+    /// the last [`project`](Self::project) and [`bin`](Self::bin) projected and sorted: the projected
+    /// colours, or others. Alpha and depth do not depend on the colours.
+    ///
+    /// # Errors
+    /// As for [`forward`](Self::forward).
+    pub fn blend(
+        &mut self,
+        recorder: &mut Recorder,
+        colours: Option<View<'_, [f32; 4]>>,
+        out: PixelViews<'_>,
+    ) -> Result<()> {
+        let Frame { plan, scratch: s, pixels: own, .. } = self;
+        let area = plan.width as usize * plan.height as usize;
+        let rgba = out.rgba.unwrap_or(own.rgba.view_mut());
+        let depth = out.depth.unwrap_or(own.depth.view_mut());
+        let last = out.last.unwrap_or(own.last.view_mut());
+        at_least(
+            "render",
+            &[("rgba", area, rgba.len()), ("depth", area, depth.len()), ("last", area, last.len())],
+        )?;
+        let groups = plan.tile_groups(recorder.device())?;
+        let RenderSettings { alpha_cut, alpha_cap, transmittance_stop, .. } = plan.settings;
+        let params = raster::ForwardParams {
+            width: plan.width,
+            height: plan.height,
+            alpha_cut,
+            alpha_cap,
+            transmittance_stop,
+        };
+        let args = raster::ForwardArgs {
+            ranges: s.ranges.view(),
+            emitted_from_sorted: s.emitted_from_sorted.view(),
+            splat_from_emitted: s.splat_from_emitted.view(),
+            means: s.means.view(),
+            conics: s.conics.view(),
+            colours: colours.unwrap_or(s.colours.view()),
+            rgba,
+            depth,
+            last,
+        };
+        match plan.raster {
+            RasterKind::Subgroup => {
+                let Profile { shuffles, spread, .. } = plan.profile;
+                let constants = raster::ForwardConstants { shuffles, spread };
+                recorder.dispatch_specialised::<raster::Forward>(constants, groups, params, args)
+            }
+            RasterKind::Shared => recorder.dispatch::<raster::ForwardShared>(groups, params, args),
+        }
     }
 }

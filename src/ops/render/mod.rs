@@ -4,20 +4,20 @@
 //! depth. In that order it emits an intersection for every tile that a splat overlaps, and sorts the
 //! intersections by tile. That sort is stable, so depth order holds within a tile. Then it blends tile
 //! by tile. The number of intersections stays on the device. Where it exceeds the capacity of the
-//! buffers, the farthest intersections are dropped and [`RenderScratch::counts`] reports it, so that the
-//! caller can grow the buffers and repeat the frame.
+//! buffers, the farthest intersections are dropped and [`Frame::counts`] reports it, so that the caller
+//! can grow the buffers and repeat the frame.
 
 mod backward;
 mod forward;
 mod stages;
 
-pub use backward::{BackwardScratch, PixelGradientViews, PixelGradients};
+pub use backward::{FrameGradients, PixelGradientViews, PixelGradients};
 pub use stages::{SplatViews, SplatViewsMut, TileLists};
 
+use super::countable;
 use super::gaussians::GaussianViews;
 use super::scan::{Scan, ScanScratch};
 use super::sort::{RadixSort, SortScratch};
-use super::{at_least, countable};
 use crate::gpu::{Buffer, Device, Groups, Profile, Stream, View, ViewMut};
 use crate::types::{Camera, DEPTH_BITS, RasterKind, RenderSettings};
 use crate::{Error, Result};
@@ -45,46 +45,7 @@ pub fn device_camera(camera: &Camera) -> [f32; 20] {
     floats
 }
 
-/// A renderer for images of one size.
-///
-/// ```no_run
-/// use splat4d::gpu::Device;
-/// use splat4d::ops::gaussians::GaussianBuffers;
-/// use splat4d::ops::render::Render;
-/// use splat4d::types::{Camera, Gaussians};
-/// # fn draw(device: &Device, scene: &Gaussians, camera: &Camera) -> splat4d::Result<()> {
-/// let mut stream = device.stream()?;
-/// let gaussians = GaussianBuffers::from_host(&mut stream, scene)?;
-/// let (n, k) = (gaussians.len, camera.intrinsics);
-/// let render = Render::plan(device, n, 1 << 20, k.width, k.height, Default::default())?;
-/// let (mut scratch, mut pixels) = (render.scratch(device)?, render.pixels(device)?);
-/// let mut recorder = stream.record()?;
-/// render.forward(&mut recorder, camera, gaussians.views(), &mut scratch, &mut pixels)?;
-///
-/// // … a loss writes its gradient with respect to the image …
-/// let mut by_pixels = render.pixel_gradients(device)?;
-/// recorder.fill(by_pixels.rgba.view_mut(), 0);
-/// recorder.fill(by_pixels.depth.view_mut(), 0);
-///
-/// let mut backward = render.backward_scratch(device)?;
-/// let mut gradients = GaussianBuffers::new(device, n, gaussians.sh_degree)?;
-/// render.backward(
-///     &mut recorder,
-///     gaussians.views(),
-///     &scratch,
-///     &pixels,
-///     &by_pixels,
-///     &mut backward,
-///     &mut gradients,
-///     true,
-/// )?;
-/// stream.submit(recorder)?;
-/// let by_pose = stream.download(backward.pose())?;
-/// let counts = scratch.counts(&mut stream)?;
-/// assert!(counts.intersections <= render.intersection_capacity(), "else plan with more");
-/// # Ok(())
-/// # }
-/// ```
+/// The plan of a [`Frame`]: image size, capacities, settings.
 #[derive(Clone, Debug)]
 pub struct Render {
     gaussians: usize,
@@ -100,8 +61,49 @@ pub struct Render {
     scan: Scan,
 }
 
-/// Intermediate buffers of a renderer; its backward pass reads them again.
-pub struct RenderScratch {
+/// A plan with everything that the rendering of an image reads and writes besides the scene. Without
+/// gradients ([`Render::frame`]) it renders; with them ([`Render::differentiable`]) it also
+/// differentiates.
+///
+/// ```no_run
+/// use splat4d::gpu::Device;
+/// use splat4d::ops::gaussians::GaussianBuffers;
+/// use splat4d::ops::render::Render;
+/// use splat4d::types::{Camera, Gaussians};
+/// # fn draw(device: &Device, scene: &Gaussians, camera: &Camera) -> splat4d::Result<()> {
+/// let mut stream = device.stream()?;
+/// let gaussians = GaussianBuffers::from_host(&mut stream, scene)?;
+/// let (n, k) = (gaussians.len, camera.intrinsics);
+/// let render = Render::plan(device, n, 1 << 20, k.width, k.height, Default::default())?;
+/// let mut frame = render.differentiable(device)?;
+/// let mut recorder = stream.record()?;
+/// frame.forward(&mut recorder, camera, gaussians.views(), Default::default())?;
+///
+/// // … a loss writes its gradient with respect to the image …
+/// recorder.fill(frame.gradients.pixels.rgba.view_mut(), 0);
+/// recorder.fill(frame.gradients.pixels.depth.view_mut(), 0);
+///
+/// let mut gradients = GaussianBuffers::new(device, n, gaussians.sh_degree)?;
+/// let views = gaussians.views();
+/// frame.backward(&mut recorder, views, Default::default(), &mut gradients, true)?;
+/// stream.submit(recorder)?;
+/// let by_pose = stream.download(frame.gradients.pose())?;
+/// let counts = frame.counts(&mut stream)?;
+/// assert!(counts.intersections <= frame.plan().intersection_capacity(), "else plan with more");
+/// # Ok(())
+/// # }
+/// ```
+pub struct Frame<G = ()> {
+    pub(crate) plan: Render,
+    pub(crate) scratch: RenderScratch,
+    /// The image.
+    pub pixels: PixelBuffers,
+    /// The buffers of the backward pass; `()` in a frame that is not differentiated.
+    pub gradients: G,
+}
+
+/// Intermediate buffers of the forward pass; the backward pass reads them again.
+pub(crate) struct RenderScratch {
     pub(crate) camera: Buffer<f32>,
     pub(crate) count: Buffer<u32>,
     pub(crate) visible_count: Buffer<u32>,
@@ -148,35 +150,31 @@ pub struct PixelBuffers {
 }
 
 /// Views of the buffers that a rendered image is written to, in pixel order (row by row). The buffers
-/// are arbitrary; they may belong to a host application.
+/// are arbitrary; they may belong to a host application. An output that is `None` goes to the frame's
+/// own [`pixels`](Frame::pixels), which the backward pass reads.
+#[derive(Default)]
 pub struct PixelViews<'a> {
-    /// Width, pixels.
-    pub width: u32,
-    /// Height, pixels.
-    pub height: u32,
     /// Premultiplied colour without background, and alpha.
-    pub rgba: ViewMut<'a, [f32; 4]>,
+    pub rgba: Option<ViewMut<'a, [f32; 4]>>,
     /// Sum of α · T · z over the splats of a pixel (T: transmittance, z: depth in the camera frame).
-    pub depth: ViewMut<'a, f32>,
+    pub depth: Option<ViewMut<'a, f32>>,
     /// For the backward pass: one past the last intersection that each pixel blended, counted from its
     /// tile's first.
-    pub last: ViewMut<'a, u32>,
+    pub last: Option<ViewMut<'a, u32>>,
 }
 
 impl PixelBuffers {
     /// Writable views of all of it.
     pub fn views_mut(&mut self) -> PixelViews<'_> {
         PixelViews {
-            width: self.width,
-            height: self.height,
-            rgba: self.rgba.view_mut(),
-            depth: self.depth.view_mut(),
-            last: self.last.view_mut(),
+            rgba: Some(self.rgba.view_mut()),
+            depth: Some(self.depth.view_mut()),
+            last: Some(self.last.view_mut()),
         }
     }
 }
 
-/// Counts of the last frame; see [`RenderScratch::counts`].
+/// Counts of the last frame; see [`Frame::counts`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FrameCounts {
     /// Gaussians that were not culled.
@@ -234,7 +232,7 @@ impl Render {
 
     /// The same renderer, but only the highest `bits` of a depth's 31 bits decide the order of splats.
     /// Splats whose keys are equal keep the order of their indices. Fewer bits need fewer passes of the
-    /// sort. Call this before [`scratch`](Self::scratch).
+    /// sort.
     ///
     /// # Errors
     /// [`Error::Input`] for no bits or more than 31.
@@ -265,11 +263,16 @@ impl Render {
         (self.width.div_ceil(TILE) * self.height.div_ceil(TILE)) as usize
     }
 
-    /// Allocates the intermediate buffers of [`forward`](Self::forward).
+    /// Allocates a frame that is rendered but not differentiated.
     ///
     /// # Errors
     /// [`Error::OutOfMemory`].
-    pub fn scratch(&self, device: &Device) -> Result<RenderScratch> {
+    pub fn frame(&self, device: &Device) -> Result<Frame> {
+        let (scratch, pixels) = (self.scratch(device)?, self.pixels(device)?);
+        Ok(Frame { plan: self.clone(), scratch, pixels, gradients: () })
+    }
+
+    fn scratch(&self, device: &Device) -> Result<RenderScratch> {
         let (n, m) = (self.gaussians, self.intersections);
         Ok(RenderScratch {
             camera: device.buffer("camera", 20)?,
@@ -344,72 +347,40 @@ impl Render {
         Ok(())
     }
 
-    /// A scratch of another plan may be too small for this one.
-    fn check_scratch(&self, scratch: &RenderScratch) -> Result<()> {
-        at_least(
-            "render",
-            &[
-                ("scratch's Gaussians", self.gaussians, scratch.means.len()),
-                ("scratch's intersections", self.intersections, scratch.tiles.len()),
-                ("scratch's tiles", self.tiles(), scratch.ranges.len()),
-            ],
-        )
-    }
-
-    fn check_size(&self, op: &'static str, width: u32, height: u32) -> Result<()> {
-        if (width, height) == (self.width, self.height) {
-            return Ok(());
-        }
-        Err(Error::Shape {
-            op,
-            arg: "pixels",
-            expected: format!("an image of {}×{}", self.width, self.height),
-            actual: width as usize * height as usize,
-        })
-    }
-
-    fn check_pixels(&self, op: &'static str, pixels: &PixelViews<'_>) -> Result<()> {
-        self.check_size(op, pixels.width, pixels.height)?;
-        let area = self.width as usize * self.height as usize;
-        at_least(
-            op,
-            &[
-                ("rgba", area, pixels.rgba.len()),
-                ("depth", area, pixels.depth.len()),
-                ("last", area, pixels.last.len()),
-            ],
-        )
-    }
-
     fn tile_groups(&self, device: &Device) -> Result<Groups> {
         Groups::linear(self.tiles(), 1, device.limits())
     }
 }
 
-impl RenderScratch {
+impl<G> Frame<G> {
+    /// The plan.
+    pub fn plan(&self) -> &Render {
+        &self.plan
+    }
+
     /// Waits for the submitted frames and reads the counts of the last one. If it has more intersections
-    /// than [`Render::intersection_capacity`], the frame is incomplete and must be repeated with a
-    /// larger renderer.
+    /// than [`Render::intersection_capacity`], the image is incomplete and must be rendered again with a
+    /// larger frame.
     ///
     /// # Errors
     /// A failed submission.
     pub fn counts(&self, stream: &mut Stream) -> Result<FrameCounts> {
-        let counts = stream.download(&self.counts)?;
+        let counts = stream.download(&self.scratch.counts)?;
         Ok(FrameCounts::from_device([counts[0], counts[1]]))
     }
 
     /// The counts on the device; [`FrameCounts::from_device`] reads them.
     pub fn device_counts(&self) -> View<'_, u32> {
-        self.counts.view()
+        self.scratch.counts.view()
     }
 
     /// On the device: 1 if all intersections of the last frame fitted, else 0.
     pub fn fits(&self) -> View<'_, u32> {
-        self.fits.view()
+        self.scratch.fits.view()
     }
 
     /// One word for each Gaussian: 1 if it was visible in the last frame, else 0.
     pub fn visible(&self) -> View<'_, u32> {
-        self.visible.view()
+        self.scratch.visible.view()
     }
 }

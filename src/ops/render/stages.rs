@@ -1,6 +1,6 @@
 //! Access to the separate stages of a frame and to the data between them.
 
-use super::RenderScratch;
+use super::Frame;
 use crate::gpu::{View, ViewMut};
 
 /// Splats: the results of the projection, in the Gaussians' order.
@@ -15,14 +15,14 @@ use crate::gpu::{View, ViewMut};
 /// let gaussians = GaussianBuffers::from_host(&mut stream, scene)?;
 /// let (n, k) = (gaussians.len, camera.intrinsics);
 /// let render = Render::plan(device, n, 1 << 20, k.width, k.height, Default::default())?;
-/// let mut scratch = render.scratch(device)?;
+/// let mut frame = render.frame(device)?;
 /// let mut means = device.buffer("my means", n)?;
 /// let mut recorder = stream.record()?;
-/// render.project(&mut recorder, camera, gaussians.views(), &mut scratch)?;
-/// recorder.copy(scratch.splats().means, means.view_mut());
-/// render.bin(&mut recorder, n, &mut scratch)?;
-/// let mut ranges = device.buffer("my ranges", scratch.tile_lists().ranges.len())?;
-/// recorder.copy(scratch.tile_lists().ranges, ranges.view_mut());
+/// frame.project(&mut recorder, camera, gaussians.views())?;
+/// recorder.copy(frame.splats().means, means.view_mut());
+/// frame.bin(&mut recorder, n)?;
+/// let mut ranges = device.buffer("my ranges", frame.tile_lists().ranges.len())?;
+/// recorder.copy(frame.tile_lists().ranges, ranges.view_mut());
 /// stream.submit(recorder)?;
 /// let (means, ranges) = (stream.download(&means)?, stream.download(&ranges)?);
 /// # Ok(())
@@ -73,38 +73,37 @@ pub struct TileLists<'a> {
     pub splat_from_emitted: View<'a, u32>,
 }
 
-impl RenderScratch {
-    /// The results of the last [`Render::project`](super::Render::project).
+impl<G> Frame<G> {
+    /// The results of the last [`project`](Self::project).
     pub fn splats(&self) -> SplatViews<'_> {
         SplatViews {
-            means: self.means.view(),
-            conics: self.conics.view(),
-            colours: self.colours.view(),
-            rectangles: self.rectangles.view(),
-            tile_counts: self.tile_counts.view(),
-            visible: self.visible.view(),
+            means: self.scratch.means.view(),
+            conics: self.scratch.conics.view(),
+            colours: self.scratch.colours.view(),
+            rectangles: self.scratch.rectangles.view(),
+            tile_counts: self.scratch.tile_counts.view(),
+            visible: self.scratch.visible.view(),
         }
     }
 
-    /// The splats that [`Render::bin`](super::Render::bin) and [`Render::blend`](super::Render::blend)
-    /// read, for a host application to write.
+    /// The splats that [`bin`](Self::bin) and [`blend`](Self::blend) read, for a host application to write.
     pub fn splats_mut(&mut self) -> SplatViewsMut<'_> {
         SplatViewsMut {
-            means: self.means.view_mut(),
-            conics: self.conics.view_mut(),
-            colours: self.colours.view_mut(),
-            rectangles: self.rectangles.view_mut(),
-            tile_counts: self.tile_counts.view_mut(),
-            visible: self.visible.view_mut(),
+            means: self.scratch.means.view_mut(),
+            conics: self.scratch.conics.view_mut(),
+            colours: self.scratch.colours.view_mut(),
+            rectangles: self.scratch.rectangles.view_mut(),
+            tile_counts: self.scratch.tile_counts.view_mut(),
+            visible: self.scratch.visible.view_mut(),
         }
     }
 
-    /// The results of the last [`Render::bin`](super::Render::bin).
+    /// The results of the last [`bin`](Self::bin).
     pub fn tile_lists(&self) -> TileLists<'_> {
         TileLists {
-            ranges: self.ranges.view(),
-            emitted_from_sorted: self.emitted_from_sorted.view(),
-            splat_from_emitted: self.splat_from_emitted.view(),
+            ranges: self.scratch.ranges.view(),
+            emitted_from_sorted: self.scratch.emitted_from_sorted.view(),
+            splat_from_emitted: self.scratch.splat_from_emitted.view(),
         }
     }
 }

@@ -3,7 +3,7 @@
 use crate::Result;
 use crate::gpu::{Buffer, Recorder, Stream, View};
 use crate::ops::density;
-use crate::ops::render::{BackwardScratch, RenderScratch};
+use crate::ops::render::{Frame, FrameGradients};
 
 /// For each Gaussian, over the views since the last round of density control: the sum of the norms of
 /// the gradient with respect to the image position, in units of half the image, and the number of views
@@ -29,22 +29,20 @@ impl Statistics {
         Ok(())
     }
 
-    /// Records the addition of a view of `size` pixels, whose backward pass has just been recorded.
+    /// Records the addition of a view, whose backward pass has just been recorded.
     pub(in crate::train) fn add(
         &mut self,
         recorder: &mut Recorder,
         count: usize,
-        scratch: &RenderScratch,
-        backward: &BackwardScratch,
-        size: (u32, u32),
+        frame: &Frame<FrameGradients>,
     ) -> Result<()> {
         density::accumulate(
             recorder,
             self.sums.range_mut(0..2 * count),
-            backward.mean_gradients(),
-            scratch.visible(),
-            scratch.fits(),
-            [size.0, size.1],
+            frame.gradients.means(),
+            frame.visible(),
+            frame.fits(),
+            [frame.pixels.width, frame.pixels.height],
         )
     }
 
