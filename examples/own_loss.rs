@@ -12,7 +12,7 @@ use splat4d::data::write_png;
 use splat4d::gpu::{Device, Request};
 use splat4d::scene::ply;
 use splat4d::train::own_loss::OwnGradients;
-use splat4d::train::{TrainSettings, Trainer};
+use splat4d::train::{SceneOptimiser, TrainSettings};
 use splat4d::types::{Camera, Gaussians, Image, Intrinsics, Pose};
 
 const SIZE: u32 = 128;
@@ -40,25 +40,26 @@ fn main() -> splat4d::Result<()> {
     let device = Device::open(&Request::default())?;
     let settings = TrainSettings { steps: STEPS, ..Default::default() };
     // The scene's extent, one unit here, scales the learning rate of the positions.
-    let mut trainer = Trainer::without_pictures(&device, &start(), None, 1.0, settings)?;
+    let mut scene = SceneOptimiser::new(&device, &start(), None, 1.0, settings)?;
     let mut stream = device.stream()?;
     let mut step = 0;
     while step < STEPS {
         let mut recorder = stream.record()?;
-        trainer.forward(&mut recorder, &camera, 0.0)?;
+        let pass = scene.forward(&mut recorder, &camera, 0.0)?;
         stream.submit(recorder)?;
-        let rendered = stream.download(&trainer.pixels()?.rgba)?;
+        let rendered = stream.download(&scene.pixels(&pass)?.rgba)?;
 
         let (loss, gradient) = huber(&rendered, &target);
         let gradient = device.upload("gradient of the Huber loss", &gradient)?;
         let mut recorder = stream.record()?;
-        trainer.backward(&mut recorder, OwnGradients { rgba: gradient.view(), depth: None })?;
-        trainer.update(&mut recorder)?;
+        let by = OwnGradients { rgba: gradient.view(), depth: None };
+        let pass = scene.backward(&mut recorder, pass, by)?;
+        let pass = scene.update(&mut recorder, pass)?;
         let ticket = stream.submit(recorder)?;
         stream.wait(ticket)?;
-        // False: the frame had more (splat, tile) pairs than the capacity. The trainer has more
+        // False: the frame had more (splat, tile) pairs than the capacity. The optimiser has more
         // capacity now, and the step is repeated.
-        if trainer.conclude()? {
+        if scene.conclude(pass)? {
             if step % 50 == 0 {
                 println!("step {step}: loss {loss:.5}");
             }
@@ -66,15 +67,15 @@ fn main() -> splat4d::Result<()> {
         }
     }
     let mut recorder = stream.record()?;
-    trainer.forward(&mut recorder, &camera, 0.0)?;
+    let pass = scene.forward(&mut recorder, &camera, 0.0)?;
     let ticket = stream.submit(recorder)?;
     stream.wait(ticket)?;
-    let rendered = stream.download(&trainer.pixels()?.rgba)?;
-    trainer.conclude()?;
+    let rendered = stream.download(&scene.pixels(&pass)?.rgba)?;
+    scene.conclude(pass)?;
     println!("after {STEPS} steps: loss {:.5}", huber(&rendered, &target).0);
     let pixels = rendered.iter().flat_map(|&[r, g, b, _]| [r, g, b]).collect();
     write_png(&image, &Image { width: SIZE, height: SIZE, channels: 3, pixels })?;
-    ply::write(&gaussians, &trainer.gaussians()?)
+    ply::write(&gaussians, &scene.gaussians()?)
 }
 
 /// The loss, and its gradient with respect to the premultiplied colour and alpha of each pixel. Alpha has

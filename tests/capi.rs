@@ -9,7 +9,7 @@ use splat4d::gpu::{Device, Request};
 use splat4d::renderer::Renderer;
 use splat4d::scene::{Scene, SceneCamera};
 use splat4d::train::own_loss::OwnGradients;
-use splat4d::train::{TrainSettings, Trainer, TrainingView};
+use splat4d::train::{SceneOptimiser, TrainSettings, Trainer, TrainingView};
 use splat4d::types::{Gaussians, Image};
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -123,15 +123,16 @@ fn expected(name: &str, size: Size) -> [String; 4] {
     write("trained.f32", &floats(&trainer.gaussians().unwrap()));
 
     let mut stream = device.stream().unwrap();
-    let mut trainer = Trainer::without_pictures(&device, &start, None, 1.0, settings).unwrap();
+    let mut trainer = SceneOptimiser::new(&device, &start, None, 1.0, settings).unwrap();
     let ones = device.upload("ones", &vec![[1.0f32; 4]; (width * height) as usize]).unwrap();
     let mut recorder = stream.record().unwrap();
-    trainer.forward(&mut recorder, &camera, 0.0).unwrap();
+    let pass = trainer.forward(&mut recorder, &camera, 0.0).unwrap();
     let by = OwnGradients { rgba: ones.view(), depth: None };
-    trainer.backward(&mut recorder, by).unwrap();
+    let pass = trainer.backward(&mut recorder, pass, by).unwrap();
     stream.submit(recorder).unwrap();
-    let pose = stream.download(trainer.pose_gradient().unwrap()).unwrap();
-    let g = trainer.gradients();
+    let found = trainer.gradients(&pass).unwrap();
+    let pose = stream.download(found.pose).unwrap();
+    let g = found.gaussians;
     let [positions, log_scales, opacity_logits, sh] =
         [&g.positions, &g.log_scales, &g.opacity_logits, &g.sh[0]]
             .map(|buffer| stream.download(buffer).unwrap());

@@ -9,9 +9,10 @@ use splat4d::gpu::{Buffer, Device, Recorder, Stream};
 use splat4d::ops::loss::{Loss, LossSettings, Reference};
 use splat4d::oracle::view::{Cloud, View, perturbed};
 use splat4d::oracle::{deform, mlp, path, render};
-use splat4d::train::own_loss::OwnGradients;
+use splat4d::train::own_loss::{Differentiated, OwnGradients, Pass};
 use splat4d::train::{
-    MotionSettings, MotionStart, SYNC_INTERVAL, TrainSettings, Trainer, TrainingView,
+    MotionSettings, MotionStart, SYNC_INTERVAL, SceneOptimiser, TrainSettings, Trainer,
+    TrainingView,
 };
 use splat4d::types::{
     Camera, ControlPoints, DeformNet, Gaussians, Image, NetShape, RenderSettings,
@@ -66,13 +67,18 @@ fn exact(cloud: &Cloud<f64>, camera: &Camera) -> f64 {
 
 /// Runs the forward and the backward part of a step with this loss, so that the step's gradients can be
 /// read.
-fn differentiate(stream: &mut Stream, trainer: &mut Trainer, camera: &Camera, time: f64) {
+fn differentiate(
+    stream: &mut Stream,
+    trainer: &mut SceneOptimiser,
+    camera: &Camera,
+    time: f64,
+) -> Pass<Differentiated> {
     let device = stream.device().clone();
     let mut recorder = stream.record().unwrap();
-    trainer.forward(&mut recorder, camera, time).unwrap();
+    let pass = trainer.forward(&mut recorder, camera, time).unwrap();
     stream.submit(recorder).unwrap();
-    let rgba = stream.download(&trainer.pixels().unwrap().rgba).unwrap();
-    let depth = stream.download(&trainer.pixels().unwrap().depth).unwrap();
+    let rgba = stream.download(&trainer.pixels(&pass).unwrap().rgba).unwrap();
+    let depth = stream.download(&trainer.pixels(&pass).unwrap().depth).unwrap();
     let slopes: Vec<[f64; 5]> = rgba
         .iter()
         .zip(&depth)
@@ -86,9 +92,10 @@ fn differentiate(stream: &mut Stream, trainer: &mut Trainer, camera: &Camera, ti
     let by_depth = device.upload("by depth", &by_depth).unwrap();
     let mut recorder = stream.record().unwrap();
     let by = OwnGradients { rgba: by_rgba.view(), depth: Some(by_depth.view()) };
-    trainer.backward(&mut recorder, by).unwrap();
+    let pass = trainer.backward(&mut recorder, pass, by).unwrap();
     let ticket = stream.submit(recorder).unwrap();
     stream.wait(ticket).unwrap();
+    pass
 }
 
 /// Pairs of a gradient and a central difference, with a label.
@@ -136,15 +143,16 @@ fn gradients_are_those_of_the_callers_loss() {
     let mut stream = device.stream().unwrap();
     let scene = gaussians(9);
     let camera = camera(SIZE.0, SIZE.1);
-    let mut trainer = Trainer::without_pictures(&device, &scene, None, 1.0, settings()).unwrap();
-    differentiate(&mut stream, &mut trainer, &camera, 0.0);
-    let g = trainer.gradients();
+    let mut trainer = SceneOptimiser::new(&device, &scene, None, 1.0, settings()).unwrap();
+    let pass = differentiate(&mut stream, &mut trainer, &camera, 0.0);
+    let found = trainer.gradients(&pass).unwrap();
+    let g = found.gaussians;
     let [positions, scales, opacities, colours] =
         [&g.positions, &g.log_scales, &g.opacity_logits, &g.sh[0]]
             .map(|buffer| stream.download(buffer).unwrap());
-    let rotations = stream.download(&trainer.gradients().rotations).unwrap();
-    let pose = stream.download(trainer.pose_gradient().unwrap()).unwrap();
-    assert!(trainer.conclude().unwrap());
+    let rotations = stream.download(&g.rotations).unwrap();
+    let pose = stream.download(found.pose).unwrap();
+    assert!(trainer.conclude(pass).unwrap());
     let cloud = Cloud::<f64>::new(&scene);
     let mut pairs = Pairs::default();
     for i in 0..scene.len() {
@@ -228,13 +236,13 @@ fn gradients_reach(start: &MotionStart) {
     let mut scene = gaussians(9);
     scene.motion_logits = (0..9).map(|i| if i < 6 { 2.0 } else { -2.0 }).collect();
     let camera = camera(SIZE.0, SIZE.1);
-    let mut trainer =
-        Trainer::without_pictures(&device, &scene, Some(start), 1.0, settings()).unwrap();
-    differentiate(&mut stream, &mut trainer, &camera, TIME);
-    let (model, radii) = trainer.motion_gradients().unwrap();
+    let mut trainer = SceneOptimiser::new(&device, &scene, Some(start), 1.0, settings()).unwrap();
+    let pass = differentiate(&mut stream, &mut trainer, &camera, TIME);
+    let found = trainer.gradients(&pass).unwrap();
+    let (model, radii) = found.motion.unwrap();
     let (model, radii) = (stream.download(model).unwrap(), stream.download(radii).unwrap());
-    let opacities = stream.download(&trainer.gradients().opacity_logits).unwrap();
-    assert!(trainer.conclude().unwrap());
+    let opacities = stream.download(&found.gaussians.opacity_logits).unwrap();
+    assert!(trainer.conclude(pass).unwrap());
 
     let wide = |v: &[f32]| v.iter().map(|&v| f64::from(v)).collect::<Vec<f64>>();
     let parameters = match &start.network {
@@ -312,7 +320,7 @@ fn target() -> Image {
 fn step(
     device: &Device,
     stream: &mut Stream,
-    trainer: &mut Trainer,
+    trainer: &mut SceneOptimiser,
     reference: &Reference,
 ) -> bool {
     let loss = Loss::plan(device, SIZE.0, SIZE.1);
@@ -321,16 +329,16 @@ fn step(
     let mut gradients = render.unwrap().pixel_gradients(device).unwrap();
     let how = LossSettings { depth_scale: 1.0, ..LossSettings::default() };
     let mut recorder = stream.record().unwrap();
-    trainer.forward(&mut recorder, &camera(SIZE.0, SIZE.1), 0.0).unwrap();
-    let pixels = trainer.pixels().unwrap();
+    let pass = trainer.forward(&mut recorder, &camera(SIZE.0, SIZE.1), 0.0).unwrap();
+    let pixels = trainer.pixels(&pass).unwrap();
     loss.record(&mut recorder, &how, pixels, reference, None, &mut gradients, &mut scratch)
         .unwrap();
     let by = OwnGradients { rgba: gradients.rgba.view(), depth: Some(gradients.depth.view()) };
-    trainer.backward(&mut recorder, by).unwrap();
-    trainer.update(&mut recorder).unwrap();
+    let pass = trainer.backward(&mut recorder, pass, by).unwrap();
+    let pass = trainer.update(&mut recorder, pass).unwrap();
     let ticket = stream.submit(recorder).unwrap();
     stream.wait(ticket).unwrap();
-    trainer.conclude().unwrap()
+    trainer.conclude(pass).unwrap()
 }
 
 #[test]
@@ -349,7 +357,7 @@ fn steps_from_outside_are_the_trainers_own() {
         every: 1,
     };
     let mut own = Trainer::new(&device, &[view], &scene, None, settings.clone()).unwrap();
-    let mut outside = Trainer::without_pictures(&device, &scene, None, 1.0, settings).unwrap();
+    let mut outside = SceneOptimiser::new(&device, &scene, None, 1.0, settings).unwrap();
     let reference = Reference::new(&device, &target(), None).unwrap();
     for _ in 0..5 {
         own.step().unwrap();
@@ -369,13 +377,12 @@ fn steps_from_outside_resume() {
     let scene = gaussians(20);
     let settings = TrainSettings { steps: 200, ..settings() };
     let reference = Reference::new(&device, &target(), None).unwrap();
-    let mut trainer =
-        Trainer::without_pictures(&device, &scene, None, 1.0, settings.clone()).unwrap();
+    let mut trainer = SceneOptimiser::new(&device, &scene, None, 1.0, settings.clone()).unwrap();
     for _ in 0..SYNC_INTERVAL {
         assert!(step(&device, &mut stream, &mut trainer, &reference));
     }
     let state = trainer.state().unwrap();
-    let mut resumed = Trainer::resume(&device, &[], state, settings).unwrap();
+    let mut resumed = SceneOptimiser::resume(&device, state, settings).unwrap();
     for _ in 0..3 {
         assert!(step(&device, &mut stream, &mut trainer, &reference));
         assert!(step(&device, &mut stream, &mut resumed, &reference));
@@ -393,15 +400,14 @@ fn steps_run_in_a_hosts_command_buffer() {
         // SAFETY: the handles belong together, and one thread uses the queue.
         let device = unsafe { Device::adopt(host.lend()) }.unwrap();
         let scene = gaussians(9);
-        let mut trainer =
-            Trainer::without_pictures(&device, &scene, None, 1.0, settings()).unwrap();
+        let mut trainer = SceneOptimiser::new(&device, &scene, None, 1.0, settings()).unwrap();
         let commands = host.commands();
         let area = (SIZE.0 * SIZE.1) as usize;
         let mut by_rgba: Buffer<[f32; 4]> = device.buffer("by rgba", area).unwrap();
         host.begin(commands);
         // SAFETY: the command buffer has begun and is submitted once; the guards outlive the wait.
         let mut recorder = unsafe { Recorder::over(&device, commands) }.unwrap();
-        trainer.forward(&mut recorder, &camera(SIZE.0, SIZE.1), 0.0).unwrap();
+        let pass = trainer.forward(&mut recorder, &camera(SIZE.0, SIZE.1), 0.0).unwrap();
         let first = recorder.finish().unwrap();
         // A host computes its loss here; this loss is the sum of all values.
         // SAFETY: the command buffer is recording.
@@ -412,13 +418,13 @@ fn steps_run_in_a_hosts_command_buffer() {
         // SAFETY: as above.
         let mut recorder = unsafe { Recorder::over(&device, commands) }.unwrap();
         let by = OwnGradients { rgba: by_rgba.view(), depth: None };
-        trainer.backward(&mut recorder, by).unwrap();
-        trainer.update(&mut recorder).unwrap();
+        let pass = trainer.backward(&mut recorder, pass, by).unwrap();
+        let pass = trainer.update(&mut recorder, pass).unwrap();
         let second = recorder.finish().unwrap();
         host.submit(commands, semaphore, 1);
         host.wait(semaphore, 1);
         drop((first, second));
-        assert!(trainer.conclude().unwrap());
+        assert!(trainer.conclude(pass).unwrap());
         let after = trainer.gaussians().unwrap();
         // The step reduces the sum, so every opacity falls.
         for i in 0..scene.len() {
@@ -437,16 +443,17 @@ fn a_frame_that_does_not_fit_teaches_nothing_and_comes_again() {
     let mut scene: Gaussians = gaussians(40);
     scene.log_scales = vec![[1.5; 3]; 40];
     let big = camera(640, 480);
-    let mut trainer = Trainer::without_pictures(&device, &scene, None, 1.0, settings()).unwrap();
+    let mut trainer = SceneOptimiser::new(&device, &scene, None, 1.0, settings()).unwrap();
     let by: Buffer<[f32; 4]> = device.upload("by rgba", &vec![[1.0f32; 4]; 640 * 480]).unwrap();
-    let mut step = |trainer: &mut Trainer| {
+    let mut step = |trainer: &mut SceneOptimiser| {
         let mut recorder = stream.record().unwrap();
-        trainer.forward(&mut recorder, &big, 0.0).unwrap();
-        trainer.backward(&mut recorder, OwnGradients { rgba: by.view(), depth: None }).unwrap();
-        trainer.update(&mut recorder).unwrap();
+        let pass = trainer.forward(&mut recorder, &big, 0.0).unwrap();
+        let by = OwnGradients { rgba: by.view(), depth: None };
+        let pass = trainer.backward(&mut recorder, pass, by).unwrap();
+        let pass = trainer.update(&mut recorder, pass).unwrap();
         let ticket = stream.submit(recorder).unwrap();
         stream.wait(ticket).unwrap();
-        trainer.conclude().unwrap()
+        trainer.conclude(pass).unwrap()
     };
     assert!(!step(&mut trainer));
     assert_eq!(trainer.progress().step, 0);
@@ -464,17 +471,18 @@ fn gradients_that_are_no_numbers_are_left_out_and_counted() {
     let mut stream = device.stream().unwrap();
     let scene = gaussians(9);
     let camera = camera(SIZE.0, SIZE.1);
-    let mut trainer = Trainer::without_pictures(&device, &scene, None, 1.0, settings()).unwrap();
+    let mut trainer = SceneOptimiser::new(&device, &scene, None, 1.0, settings()).unwrap();
     let mut by = vec![[1.0f32; 4]; (SIZE.0 * SIZE.1) as usize];
-    let mut step = |trainer: &mut Trainer, by: &[[f32; 4]]| {
+    let mut step = |trainer: &mut SceneOptimiser, by: &[[f32; 4]]| {
         let by: Buffer<[f32; 4]> = device.upload("by rgba", by).unwrap();
         let mut recorder = stream.record().unwrap();
-        trainer.forward(&mut recorder, &camera, 0.0).unwrap();
-        trainer.backward(&mut recorder, OwnGradients { rgba: by.view(), depth: None }).unwrap();
-        trainer.update(&mut recorder).unwrap();
+        let pass = trainer.forward(&mut recorder, &camera, 0.0).unwrap();
+        let by = OwnGradients { rgba: by.view(), depth: None };
+        let pass = trainer.backward(&mut recorder, pass, by).unwrap();
+        let pass = trainer.update(&mut recorder, pass).unwrap();
         let ticket = stream.submit(recorder).unwrap();
         stream.wait(ticket).unwrap();
-        assert!(trainer.conclude().unwrap());
+        assert!(trainer.conclude(pass).unwrap());
     };
     step(&mut trainer, &by);
     assert_eq!(trainer.broken_gradients().unwrap(), 0);
@@ -488,7 +496,7 @@ fn gradients_that_are_no_numbers_are_left_out_and_counted() {
     assert_eq!(after, before);
     // The count is part of the training state.
     let state = trainer.state().unwrap();
-    let mut trainer = Trainer::resume(&device, &[], state, settings()).unwrap();
+    let mut trainer = SceneOptimiser::resume(&device, state, settings()).unwrap();
     assert_eq!(trainer.broken_gradients().unwrap(), broken);
     by.fill([1.0; 4]);
     step(&mut trainer, &by);
@@ -503,31 +511,29 @@ fn steps_out_of_turn_are_named() {
     let mut stream = device.stream().unwrap();
     let scene = gaussians(3);
     let camera = camera(SIZE.0, SIZE.1);
-    assert!(Trainer::without_pictures(&device, &scene, None, f64::NAN, settings()).is_err());
-    assert!(
-        Trainer::without_pictures(&device, &Gaussians::default(), None, 1.0, settings()).is_err()
-    );
-    let mut trainer = Trainer::without_pictures(&device, &scene, None, 1.0, settings()).unwrap();
-    assert!(trainer.step().unwrap_err().to_string().contains("pictures"));
-    assert!(trainer.conclude().is_err() && trainer.pixels().is_err());
+    let new =
+        |scene: &Gaussians, extent| SceneOptimiser::new(&device, scene, None, extent, settings());
+    assert!(new(&scene, f64::NAN).is_err());
+    assert!(new(&Gaussians::default(), 1.0).is_err());
+    let (mut trainer, mut other) = (new(&scene, 1.0).unwrap(), new(&scene, 1.0).unwrap());
     let by = device.buffer::<[f32; 4]>("by rgba", (SIZE.0 * SIZE.1) as usize).unwrap();
     let few = device.buffer::<[f32; 4]>("few", 7).unwrap();
     let given = OwnGradients { rgba: by.view(), depth: None };
     let mut recorder = stream.record().unwrap();
-    assert!(trainer.backward(&mut recorder, given).is_err());
-    assert!(trainer.update(&mut recorder).is_err());
-    trainer.forward(&mut recorder, &camera, 0.0).unwrap();
-    assert!(trainer.pose_gradient().is_err());
-    let error = trainer.forward(&mut recorder, &camera, 0.0).unwrap_err().to_string();
-    assert!(error.contains("`forward` comes after `conclude`"), "{error}");
-    assert!(trainer.update(&mut recorder).is_err());
+    let mut pass = trainer.forward(&mut recorder, &camera, 0.0).unwrap();
+    assert!(trainer.fits(&mut pass).is_err(), "the device has not finished");
+    let error = trainer.forward(&mut recorder, &camera, 0.0).err().unwrap().to_string();
+    assert!(error.contains("a step with a loss of your own is in progress"), "{error}");
+    let error = other.pixels(&pass).err().unwrap().to_string();
+    assert!(error.contains("of another optimiser"), "{error}");
+    // A part that fails ends the step.
     let short = OwnGradients { rgba: few.view(), depth: None };
-    assert!(trainer.backward(&mut recorder, short).is_err());
-    trainer.backward(&mut recorder, given).unwrap();
-    assert!(trainer.backward(&mut recorder, given).is_err());
+    assert!(trainer.backward(&mut recorder, pass, short).is_err());
+    let pass = trainer.forward(&mut recorder, &camera, 0.0).unwrap();
+    let pass = trainer.backward(&mut recorder, pass, given).unwrap();
     let ticket = stream.submit(recorder).unwrap();
     stream.wait(ticket).unwrap();
-    assert!(trainer.conclude().unwrap());
+    assert!(trainer.conclude(pass).unwrap());
     // Without an update no parameter changes.
     assert_eq!((trainer.progress().step, trainer.gaussians().unwrap()), (0, scene));
 }

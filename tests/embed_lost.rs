@@ -13,7 +13,7 @@ use splat4d::gpu::{Device, Recorder};
 use splat4d::renderer::{Renderer, Target};
 use splat4d::scene::Scene;
 use splat4d::train::own_loss::OwnGradients;
-use splat4d::train::{TrainSettings, Trainer, TrainingView};
+use splat4d::train::{SceneOptimiser, TrainSettings, Trainer, TrainingView};
 use splat4d::types::Image;
 use splat4d::{Error, Result};
 use std::cell::{Cell, RefCell};
@@ -266,21 +266,22 @@ fn a_trainer_says_so_from_then_on() {
     };
     let start = gaussians(50);
     let mut trainer = Trainer::new(&device, &[view], &start, None, settings.clone()).unwrap();
-    let mut own = Trainer::without_pictures(&device, &start, None, 1.0, settings).unwrap();
+    let mut own = SceneOptimiser::new(&device, &start, None, 1.0, settings).unwrap();
     let mut stream = device.stream().unwrap();
     let by_rgba = device.upload("by rgba", &[[1.0f32; 4]; 30 * 20]).unwrap();
     trainer.step().unwrap();
     let mut recorder = stream.record().unwrap();
-    own.forward(&mut recorder, &camera(30, 20), 0.0).unwrap();
+    let pass = own.forward(&mut recorder, &camera(30, 20), 0.0).unwrap();
     stream.submit(recorder).unwrap();
     let mut recorder = stream.record().unwrap();
 
     LOST.set(true);
-    own.backward(&mut recorder, OwnGradients { rgba: by_rgba.view(), depth: None }).unwrap();
-    own.update(&mut recorder).unwrap();
+    let by = OwnGradients { rgba: by_rgba.view(), depth: None };
+    let pass = own.backward(&mut recorder, pass, by).unwrap();
+    let pass = own.update(&mut recorder, pass).unwrap();
     lost(stream.submit(recorder));
     // The step has no known result, so either outcome is accepted.
-    let _ = own.conclude();
+    let _ = own.conclude(pass);
     lost(own.gaussians());
     for _ in 0..3 {
         lost(trainer.step());

@@ -1,8 +1,8 @@
 //! The trainer of the C interface.
 
 use super::call::{
-    Outcome, array, call, claim, destroy, exclusive, fault, give, grows, input, read, read_or_zero,
-    shape, shared, size_of_host, splat4d_result, write,
+    Fault, Outcome, array, call, claim, destroy, exclusive, fault, give, grows, input, read,
+    read_or_zero, shape, shared, size_of_host, splat4d_result, write,
 };
 use super::device::{device_of, splat4d_device};
 use super::memory::{range_of, splat4d_buffer, splat4d_range};
@@ -13,19 +13,96 @@ use super::scene::{
     splat4d_gaussians_out, splat4d_scene,
 };
 use super::vulkan::VkBuffer;
-use crate::gpu::Stream;
+use crate::Result;
+use crate::gpu::{Buffer, Stream};
+use crate::ops::render::PixelBuffers;
 use crate::scene::Scene;
-use crate::train::own_loss::OwnGradients;
-use crate::train::{AdaptiveSettings, GrowthSettings, TrainSettings, Trainer, TrainingView};
+use crate::train::own_loss::{Differentiated, OwnGradients, Pass, Rendered, Updated};
+use crate::train::{
+    AdaptiveSettings, GrowthSettings, Progress, SceneOptimiser, TrainSettings, Trainer,
+    TrainingView,
+};
 use crate::types::Image;
 
 /// A trainer of Gaussians as a static scene.
 pub struct splat4d_trainer {
-    trainer: Trainer,
+    kind: Kind,
+    pass: Option<Step>,
     /// The stream for reading gradients.
     stream: Stream,
     background: [f32; 3],
     sh_degree: u32,
+}
+
+enum Kind {
+    /// With training views and the engine's loss.
+    OnViews(Trainer),
+    /// For a loss of the host's own.
+    Alone(SceneOptimiser),
+}
+
+/// A step with the host's own loss.
+enum Step {
+    Rendered(Pass<Rendered>),
+    Differentiated(Pass<Differentiated>),
+    Updated(Pass<Updated>),
+}
+
+impl Kind {
+    fn scene(&mut self) -> Result<&mut SceneOptimiser> {
+        match self {
+            Kind::OnViews(trainer) => trainer.scene(),
+            Kind::Alone(scene) => Ok(scene),
+        }
+    }
+
+    fn progress(&self) -> Progress {
+        match self {
+            Kind::OnViews(trainer) => trainer.progress(),
+            Kind::Alone(scene) => scene.progress(),
+        }
+    }
+}
+
+impl Step {
+    fn pixels<'a>(&self, scene: &'a mut SceneOptimiser) -> Result<&'a PixelBuffers> {
+        match self {
+            Step::Rendered(pass) => scene.pixels(pass),
+            Step::Differentiated(pass) => scene.pixels(pass),
+            Step::Updated(pass) => scene.pixels(pass),
+        }
+    }
+
+    fn pose<'a>(&self, scene: &'a mut SceneOptimiser) -> Result<Option<&'a Buffer<f32>>> {
+        match self {
+            Step::Rendered(_) => Ok(None),
+            Step::Differentiated(pass) => Ok(Some(scene.gradients(pass)?.pose)),
+            Step::Updated(pass) => scene.pose_gradient(pass).map(Some),
+        }
+    }
+
+    fn fits(&mut self, scene: &mut SceneOptimiser) -> Result<bool> {
+        match self {
+            Step::Rendered(pass) => scene.fits(pass),
+            Step::Differentiated(pass) => scene.fits(pass),
+            Step::Updated(pass) => scene.fits(pass),
+        }
+    }
+
+    fn conclude(self, scene: &mut SceneOptimiser) -> Result<bool> {
+        match self {
+            Step::Rendered(pass) => scene.conclude(pass),
+            Step::Differentiated(pass) => scene.conclude(pass),
+            Step::Updated(pass) => scene.conclude(pass),
+        }
+    }
+}
+
+fn out_of_turn(what: &str) -> Fault {
+    input(format!(
+        "a step with a loss of your own: `{what}` comes in the order forward, backward, update, \
+         conclude"
+    ))
 }
 
 /// 3DGS-MCMC: dead Gaussians are relocated onto live ones, and the number grows up to
@@ -174,15 +251,18 @@ pub unsafe extern "C" fn splat4d_trainer_create(
             )));
         }
         let (background, sh_degree) = (settings.background, settings.sh_degree);
-        let made = match view_count {
-            0 => Trainer::without_pictures(device, &gaussians, None, extent, settings)?,
+        let kind = match view_count {
+            0 => {
+                let scene = SceneOptimiser::new(device, &gaussians, None, extent, settings)?;
+                Kind::Alone(scene)
+            }
             _ => {
                 let views = views_of(views, view_count)?;
-                Trainer::new(device, &views, &gaussians, None, settings)?
+                Kind::OnViews(Trainer::new(device, &views, &gaussians, None, settings)?)
             }
         };
         let stream = device.stream()?;
-        give(trainer, splat4d_trainer { trainer: made, stream, background, sh_degree });
+        give(trainer, splat4d_trainer { kind, pass: None, stream, background, sh_degree });
         Ok(())
     })
 }
@@ -192,7 +272,16 @@ pub unsafe extern "C" fn splat4d_trainer_create(
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_trainer_step(trainer: *mut splat4d_trainer) -> splat4d_result {
     // SAFETY: guaranteed by the host.
-    call(|| unsafe { Ok(exclusive("trainer", trainer)?.trainer.step()?) })
+    call(|| unsafe {
+        match &mut exclusive("trainer", trainer)?.kind {
+            Kind::OnViews(trainer) => Ok(trainer.step()?),
+            Kind::Alone(_) => {
+                let what = "a step on the trainer's own pictures: there are none; see \
+                            splat4d_trainer_forward";
+                Err(input(what))
+            }
+        }
+    })
 }
 
 /// Waits, and gets the last step's loss.
@@ -203,10 +292,12 @@ pub unsafe extern "C" fn splat4d_trainer_get_loss(
 ) -> splat4d_result {
     // SAFETY: guaranteed by the host.
     call(|| unsafe {
-        let trainer = &mut exclusive("trainer", trainer)?.trainer;
+        let trainer = exclusive("trainer", trainer)?;
         size_of_host("loss", loss)?;
         let mut value = splat4d_loss { struct_size: 0, is_known: 0, l1: 0.0, ssim: 0.0 };
-        if let Some(found) = trainer.loss()? {
+        if let Kind::OnViews(trainer) = &mut trainer.kind
+            && let Some(found) = trainer.loss()?
+        {
             value = splat4d_loss { is_known: 1, l1: found.l1, ssim: found.ssim, ..value };
         }
         write("loss", loss, value)
@@ -222,7 +313,7 @@ pub unsafe extern "C" fn splat4d_trainer_get_progress(
     // SAFETY: guaranteed by the host.
     call(|| unsafe {
         let trainer = shared("trainer", trainer)?;
-        let found = trainer.trainer.progress();
+        let found = trainer.kind.progress();
         let (step, sh_degree, count) = (found.step, trainer.sh_degree, found.gaussians);
         write("progress", progress, splat4d_progress { struct_size: 0, step, sh_degree, count })
     })
@@ -236,9 +327,9 @@ pub unsafe extern "C" fn splat4d_trainer_read(
 ) -> splat4d_result {
     // SAFETY: guaranteed by the host.
     call(|| unsafe {
-        let trainer = &mut exclusive("trainer", trainer)?.trainer;
+        let kind = &mut exclusive("trainer", trainer)?.kind;
         size_of_host("gaussians", gaussians)?;
-        read_out(&trainer.gaussians()?, gaussians)
+        read_out(&kind.scene()?.gaussians()?, gaussians)
     })
 }
 
@@ -252,8 +343,8 @@ pub unsafe extern "C" fn splat4d_trainer_get_scene(
     // SAFETY: guaranteed by the host.
     call(|| unsafe {
         claim("scene", scene)?;
-        let splat4d_trainer { trainer, background, .. } = exclusive("trainer", trainer)?;
-        let mut made = Scene::of(trainer.gaussians()?);
+        let splat4d_trainer { kind, background, .. } = exclusive("trainer", trainer)?;
+        let mut made = Scene::of(kind.scene()?.gaussians()?);
         made.background = *background;
         give(scene, splat4d_scene { scene: made });
         Ok(())
@@ -272,9 +363,10 @@ pub unsafe extern "C" fn splat4d_trainer_forward(
 ) -> splat4d_result {
     // SAFETY: guaranteed by the host.
     call(|| unsafe {
-        let trainer = &mut exclusive("trainer", trainer)?.trainer;
+        let splat4d_trainer { kind, pass, .. } = exclusive("trainer", trainer)?;
         let recorder = &mut exclusive("recorder", recorder)?.recorder;
-        Ok(trainer.forward(recorder, &camera_of(camera)?, 0.0)?)
+        *pass = Some(Step::Rendered(kind.scene()?.forward(recorder, &camera_of(camera)?, 0.0)?));
+        Ok(())
     })
 }
 
@@ -286,15 +378,16 @@ pub unsafe extern "C" fn splat4d_trainer_get_pixels(
 ) -> splat4d_result {
     // SAFETY: guaranteed by the host.
     call(|| unsafe {
-        let trainer = &mut exclusive("trainer", trainer)?.trainer;
-        write("pixels", pixels, pixels_of(trainer.pixels()?))
+        let splat4d_trainer { kind, pass, .. } = exclusive("trainer", trainer)?;
+        let pass = pass.as_ref().ok_or_else(|| out_of_turn("pixels"))?;
+        write("pixels", pixels, pixels_of(pass.pixels(kind.scene()?)?))
     })
 }
 
 /// Records the computation of the gradients with respect to every parameter and the camera's pose,
 /// given those of the host's loss with respect to the image: `by_rgba`, with respect to
 /// premultiplied colour and alpha, 16 bytes per pixel; `by_depth`, 4 bytes per pixel, null if the
-/// loss does not use the depth.
+/// loss does not use the depth. Where buffers are too short, the step has ended without an update.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_trainer_backward(
     trainer: *mut splat4d_trainer,
@@ -304,19 +397,25 @@ pub unsafe extern "C" fn splat4d_trainer_backward(
 ) -> splat4d_result {
     // SAFETY: guaranteed by the host.
     call(|| unsafe {
-        let trainer = &mut exclusive("trainer", trainer)?.trainer;
+        let splat4d_trainer { kind, pass, .. } = exclusive("trainer", trainer)?;
         let recorder = &mut exclusive("recorder", recorder)?.recorder;
         let depth = match by_depth.is_null() {
             true => None,
             false => Some(shared("by_depth", by_depth)?.words.view_as()),
         };
         let rgba = shared("by_rgba", by_rgba)?.words.view_as();
-        Ok(trainer.backward(recorder, OwnGradients { rgba, depth })?)
+        let Some(Step::Rendered(rendered)) = pass.take_if(|p| matches!(p, Step::Rendered(_)))
+        else {
+            return Err(out_of_turn("backward"));
+        };
+        let by = OwnGradients { rgba, depth };
+        *pass = Some(Step::Differentiated(kind.scene()?.backward(recorder, rendered, by)?));
+        Ok(())
     })
 }
 
-/// Records the update of every parameter with these gradients. A frame that exceeded the capacity
-/// changes nothing.
+/// Records the update of every parameter with these gradients; the gradients of density control's
+/// regularisers are added to them. A frame that exceeded the capacity changes nothing.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn splat4d_trainer_update(
     trainer: *mut splat4d_trainer,
@@ -324,8 +423,12 @@ pub unsafe extern "C" fn splat4d_trainer_update(
 ) -> splat4d_result {
     // SAFETY: guaranteed by the host.
     call(|| unsafe {
-        let trainer = &mut exclusive("trainer", trainer)?.trainer;
-        Ok(trainer.update(&mut exclusive("recorder", recorder)?.recorder)?)
+        let splat4d_trainer { kind, pass, .. } = exclusive("trainer", trainer)?;
+        let recorder = &mut exclusive("recorder", recorder)?.recorder;
+        let found = pass.take_if(|p| matches!(p, Step::Differentiated(_)));
+        let Some(Step::Differentiated(found)) = found else { return Err(out_of_turn("update")) };
+        *pass = Some(Step::Updated(kind.scene()?.update(recorder, found)?));
+        Ok(())
     })
 }
 
@@ -341,8 +444,11 @@ pub unsafe extern "C" fn splat4d_trainer_conclude(
 ) -> splat4d_result {
     // SAFETY: guaranteed by the host.
     call(|| unsafe {
-        let trainer = &mut exclusive("trainer", trainer)?.trainer;
-        let whole = trainer.conclude()?;
+        let splat4d_trainer { kind, pass, .. } = exclusive("trainer", trainer)?;
+        let scene = kind.scene()?;
+        // While the device has not finished, this fails, and the step stays open.
+        pass.as_mut().ok_or_else(|| out_of_turn("conclude"))?.fits(scene)?;
+        let whole = pass.take().expect("seen above").conclude(scene)?;
         if !fitted.is_null() {
             *exclusive("fitted", fitted)? = u32::from(whole);
         }
@@ -359,8 +465,9 @@ pub unsafe extern "C" fn splat4d_trainer_get_gradients(
 ) -> splat4d_result {
     // SAFETY: guaranteed by the host.
     call(|| unsafe {
-        let trainer = &mut exclusive("trainer", trainer)?.trainer;
-        let g = trainer.gradients();
+        let splat4d_trainer { kind, pass, .. } = exclusive("trainer", trainer)?;
+        let scene = kind.scene()?;
+        let g = scene.gradient_buffers();
         let none = splat4d_range { buffer: VkBuffer::null(), offset: 0, bytes: 0 };
         let mut value = splat4d_gradients {
             struct_size: 0,
@@ -372,7 +479,9 @@ pub unsafe extern "C" fn splat4d_trainer_get_gradients(
                 .map(|band| if band.is_empty() { none } else { range_of(band) }),
             pose: none,
         };
-        if let Ok(pose) = trainer.pose_gradient() {
+        if let Some(pass) = pass
+            && let Some(pose) = pass.pose(scene)?
+        {
             value.pose = range_of(pose);
         }
         write("gradients", gradients, value)
@@ -390,14 +499,17 @@ pub unsafe extern "C" fn splat4d_trainer_read_gradients(
 ) -> splat4d_result {
     // SAFETY: guaranteed by the host.
     call(|| unsafe {
-        let splat4d_trainer { trainer, stream, .. } = exclusive("trainer", trainer)?;
+        let splat4d_trainer { kind, pass, stream, .. } = exclusive("trainer", trainer)?;
+        let scene = kind.scene()?;
         if !gradients.is_null() {
             size_of_host("gradients", gradients)?;
-            let count = trainer.progress().gaussians;
-            read_out(&trainer.gradients().download_first(stream, count)?, gradients)?;
+            let count = scene.progress().gaussians;
+            read_out(&scene.gradient_buffers().download_first(stream, count)?, gradients)?;
         }
         if !pose.is_null() {
-            let found = stream.download(trainer.pose_gradient()?)?;
+            let pass = pass.as_ref().ok_or_else(|| out_of_turn("pose gradient"))?;
+            let found = pass.pose(scene)?.ok_or_else(|| out_of_turn("pose gradient"))?;
+            let found = stream.download(found)?;
             super::scene::copy_out("pose", &found, pose)?;
         }
         Ok(())

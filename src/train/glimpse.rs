@@ -14,14 +14,15 @@ impl Trainer {
     /// As for [`step`](Self::step).
     pub(super) fn glimpse(&mut self) -> Result<Scene> {
         self.settle()?;
-        let mut scene = Scene::of(self.download_gaussians()?);
-        if let Some((points, network)) = self.download_motion()? {
+        let optimiser = &mut self.scene;
+        let mut scene = Scene::of(optimiser.gaussians()?);
+        if let Some((points, network)) = optimiser.motion()? {
             (scene.control_points, scene.network) = (points, network);
-            let motion = self.motion.as_ref().expect("it gave its parameters");
+            let motion = optimiser.motion.as_ref().expect("it gave its parameters");
             scene.neighbours = motion.motion.skin.neighbours().k() as u32;
         }
-        scene.settings = self.settings.render;
-        scene.background = self.settings.background;
+        scene.settings = optimiser.settings.render;
+        scene.background = optimiser.settings.background;
         Ok(scene)
     }
 }

@@ -19,6 +19,7 @@
 //! | `beyond` | extrapolation of surfaces beyond the edges of what a frame shows |
 //! | [`frame_pool`] | the training views on the device, and the frame resources for each image size |
 //! | [`optimiser`] | Adam over the Gaussians' parameter groups |
+//! | [`scene_optimiser`] | the scene on the device: the path of every step, to render, differentiate and update |
 //! | [`own_loss`] | a step with the caller's own loss |
 //! | [`growth`] | density control: MCMC, or clone, split and prune |
 //! | [`motion`] | training of the control points' paths or of the network that moves them |
@@ -30,9 +31,9 @@
 //! | [`sequence`] | from a tracked clip to a scene |
 //! | [`observer`] | observers of a training: progress, previews, checkpoints |
 //! | `glimpse` | previews: the scene in its current state of training |
-//! | [`state`] | a trainer's state, to save and resume from |
+//! | [`state`] | the state of a training, to save and resume from |
 //! | [`rounds`] | work due between steps: density control, control points, lists of dynamic Gaussians |
-//! | [`trainer`] | the step: deform, render, compare, differentiate, update |
+//! | [`trainer`] | training on views with the engine's loss |
 
 #[cfg(feature = "reconstruct")]
 mod aside;
@@ -68,6 +69,7 @@ pub mod rounds;
 #[cfg(feature = "reconstruct")]
 pub mod sampling;
 pub mod scale;
+pub mod scene_optimiser;
 #[cfg(feature = "reconstruct")]
 pub mod seed;
 pub mod selection;
@@ -93,8 +95,9 @@ pub use posed::{PosedMotion, fit_posed, posed_scale, posed_unit};
 pub use preset::{Preset, Quality};
 #[cfg(feature = "reconstruct")]
 pub use region::{points_in_hull, random_points};
-pub use rounds::ControlChanges;
+pub use rounds::{ControlChanges, SYNC_INTERVAL};
 pub use scale::{PictureKind, TrainingScale};
+pub use scene_optimiser::{Progress, SceneOptimiser};
 #[cfg(feature = "reconstruct")]
 pub use seed::seed_from_points;
 #[cfg(feature = "reconstruct")]
@@ -104,5 +107,5 @@ pub use settings::{
     SelectionSettings, TrainSettings,
 };
 pub use state::TrainerState;
-pub use trainer::{Progress, SYNC_INTERVAL, Trainer};
+pub use trainer::Trainer;
 pub use views::TrainingView;

@@ -2,8 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::rounds::SYNC_INTERVAL;
 use super::state::TrainerState;
-use super::trainer::{SYNC_INTERVAL, Trainer};
+use super::trainer::Trainer;
 use crate::ops::loss::LossValue;
 use crate::scene::Scene;
 use crate::{Error, Result};

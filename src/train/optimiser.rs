@@ -7,6 +7,18 @@ use crate::ops::gaussians::{GaussianBuffers, SH_BAND};
 use crate::types::{AdamSettings, Gaussians};
 use crate::{Error, Result};
 
+/// A step of the schedule.
+pub struct GaussianStep<'a> {
+    /// The settings of training.
+    pub settings: &'a TrainSettings,
+    /// Number of the step, from 0.
+    pub step: u32,
+    /// The unit of the positions' learning rate, world units.
+    pub extent: f64,
+    /// On the device: 0 where nothing is to change.
+    pub fits: View<'a, u32>,
+}
+
 /// The optimiser's state for a set of Gaussians.
 pub struct GaussianOptimiser {
     adam: Adam,
@@ -74,19 +86,15 @@ impl GaussianOptimiser {
         self.second.upload(stream, &moments[1])
     }
 
-    /// Records the update of the Gaussians by their gradients, at step `step` (from 0) of the schedule.
-    /// Bands above `sh_degree` do not change, and nothing changes where `fits` holds 0.
+    /// Records the update of the Gaussians by their gradients. Bands above the step's degree do not
+    /// change.
     ///
     /// # Errors
     /// [`Error::Shape`] when the Gaussians exceed the capacity; else as for [`Recorder::dispatch`].
     pub fn record(
         &mut self,
         recorder: &mut Recorder,
-        settings: &TrainSettings,
-        step: u32,
-        extent: f64,
-        sh_degree: u32,
-        fits: View<'_, u32>,
+        GaussianStep { settings, step, extent, fits }: GaussianStep<'_>,
         gaussians: &mut GaussianBuffers,
         gradients: &GaussianBuffers,
     ) -> Result<()> {
@@ -144,7 +152,7 @@ impl GaussianOptimiser {
             first.opacity_logits.range_mut(0..n),
             second.opacity_logits.range_mut(0..n),
         )?;
-        for band in 0..=sh_degree as usize {
+        for band in 0..=settings.sh_degree_at(step) as usize {
             let row = SH_BAND[band];
             group(
                 row,

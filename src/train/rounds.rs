@@ -2,10 +2,14 @@
 //! Gaussians move, and the lists of dynamic Gaussians that follow from these.
 
 use super::growth::Population;
-use super::trainer::{SYNC_INTERVAL, Trainer};
+use super::scene_optimiser::SceneOptimiser;
 use crate::Result;
 #[cfg(feature = "files")]
 use serde::{Deserialize, Serialize};
+
+/// Number of steps between synchronisations. At each one the host waits for the device, and the dynamic
+/// Gaussians are listed anew and matched with their control points.
+pub const SYNC_INTERVAL: u32 = 100;
 
 /// Numbers of control points that training has added and removed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -17,16 +21,17 @@ pub struct ControlChanges {
     pub removed: usize,
 }
 
-impl Trainer {
-    /// Does what is due after a step. After every [`SYNC_INTERVAL`] steps it waits for the device.
+impl SceneOptimiser {
+    /// Whether the host waits for the device after this number of steps.
+    pub(super) fn syncs(&self) -> bool {
+        self.step.is_multiple_of(SYNC_INTERVAL)
+    }
+
+    /// Does what is due after a step. No step may be in flight where the scene [syncs](Self::syncs).
     pub(super) fn rounds(&mut self) -> Result<()> {
-        let syncs = self.step.is_multiple_of(SYNC_INTERVAL);
-        if syncs {
-            self.finish()?;
-        }
         let revised = self.revise_control_points()?;
         let grown = self.grow()?;
-        if syncs || revised || grown || self.chooses() {
+        if self.syncs() || revised || grown || self.chooses() {
             self.list_dynamic()?;
         }
         Ok(())

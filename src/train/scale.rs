@@ -8,6 +8,7 @@
 
 use super::frame_pool::{Capacity, DeviceView};
 use super::motion::MotionStart;
+use super::scene_optimiser::{Lengths, SceneOptimiser};
 use super::settings::TrainSettings;
 use super::trainer::Trainer;
 use super::views::TrainingView;
@@ -109,22 +110,15 @@ impl TrainingScale {
             MotionStart { points, network, neighbours: scale.neighbours }
         });
         Rehearsal::of(device, |rehearsal| {
-            let mut trainer = Trainer::build(
-                rehearsal.device(),
-                &[],
-                &first,
-                start.as_ref(),
-                self.settings.clone(),
-                (1.0, 1.0),
-                capacity,
-            )?;
-            for (kind, &count) in &self.pictures {
-                let view =
-                    rehearsal.repeat(count, |device| DeviceView::new(device, &kind.blank()))?;
-                trainer.views.push(view);
-            }
-            trainer.rehearse(capacity.gaussians, start.as_ref())?;
-            trainer.frame_pool.rehearse_growth(rehearsal.device(), first_capacity)
+            let (device, start) = (rehearsal.device(), start.as_ref());
+            let (settings, lengths) = (self.settings.clone(), Lengths { radius: 1.0, extent: 1.0 });
+            let scene = SceneOptimiser::build(device, &first, start, settings, lengths, capacity)?;
+            let views = (self.pictures.iter()).map(|(kind, &count)| {
+                rehearsal.repeat(count, |device| DeviceView::new(device, &kind.blank()))
+            });
+            let mut trainer = Trainer::of(scene, views.collect::<Result<_>>()?);
+            trainer.rehearse(capacity.gaussians, start)?;
+            trainer.scene.frame_pool.rehearse_growth(device, first_capacity)
         })
     }
 
@@ -145,30 +139,30 @@ impl Trainer {
     /// In a rehearsal, does everything for which a training allocates buffers, with `gaussians`
     /// Gaussians, all of which move if the scene moves.
     fn rehearse(&mut self, gaussians: usize, start: Option<&MotionStart>) -> Result<()> {
-        self.gaussians.len = gaussians;
-        if let Some(motion) = &mut self.motion {
+        let scene = &mut self.scene;
+        scene.gaussians.len = gaussians;
+        if let Some(motion) = &mut scene.motion {
             motion.motion.dynamic = gaussians;
-            let mut recorder = self.stream.record()?;
-            motion.motion.refresh(&mut recorder, self.gaussians.views().positions)?;
-            self.stream.submit(recorder)?;
+            let mut recorder = scene.stream.record()?;
+            motion.motion.refresh(&mut recorder, scene.gaussians.views().positions)?;
+            scene.stream.submit(recorder)?;
         }
         for view in 0..self.views.len() {
             // The first step has soft motion, the last one evaluates all bands.
-            for step in [0, self.settings.steps.saturating_sub(1)] {
-                self.step = step;
+            for step in [0, self.scene.settings.steps.saturating_sub(1)] {
+                self.scene.step = step;
                 self.submit(view)?;
                 self.finish()?;
             }
         }
-        if let (Some(motion), Some(start), Some(_)) =
-            (&self.motion, start, self.settings.motion.control)
-        {
-            motion.rehearse_revision(&mut self.stream, start)?;
+        let SceneOptimiser { stream, settings, motion, gaussians, .. } = &mut self.scene;
+        if let (Some(motion), Some(start), Some(_)) = (motion, start, settings.motion.control) {
+            motion.rehearse_revision(stream, start)?;
         }
         // Buffers for downloading checkpoints and the result.
-        let GaussianBuffers { positions, rotations, sh, .. } = &self.gaussians;
-        self.stream.prepare_download(rotations)?;
-        self.stream.prepare_download(positions)?;
-        sh.iter().try_for_each(|band| self.stream.prepare_download(band))
+        let GaussianBuffers { positions, rotations, sh, .. } = gaussians;
+        stream.prepare_download(rotations)?;
+        stream.prepare_download(positions)?;
+        sh.iter().try_for_each(|band| stream.prepare_download(band))
     }
 }

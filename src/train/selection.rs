@@ -173,21 +173,63 @@ impl Selection {
         })
     }
 
-    /// Whether [`train`](Self::train) overwrites the step's render with the rendered probability of
-    /// motion.
+    /// Whether [`differentiate`](Self::differentiate) overwrites the step's render with the rendered
+    /// probability of motion.
     pub(super) fn repaints(&self, mask: Option<&Buffer<f32>>, step: u32, steps: u32) -> bool {
         let every = self.training.as_ref().map(|training| training.settings.mask_every.max(1));
         let due = every.is_some_and(|every| step.is_multiple_of(every));
         due && mask.is_some() && self.is_soft(step, steps)
     }
 
-    /// Records the mask loss of the view that has just been rendered and differentiated, in steps that
-    /// have one, and the update of the logits.
-    pub(super) fn train(
+    /// Records the gradients of the mask loss of the view that has just been rendered and
+    /// differentiated, in steps that have one. They add to those of
+    /// [`soft_gradients`](Self::soft_gradients).
+    pub(super) fn differentiate(
         &mut self,
         recorder: &mut Recorder,
         frame: &mut Frame<FrameGradients>,
         mask: Option<&Buffer<f32>>,
+        count: usize,
+        step: u32,
+        steps: u32,
+    ) -> Result<()> {
+        if !self.repaints(mask, step, steps) {
+            return Ok(());
+        }
+        let Selection { logits, training } = self;
+        let (Some(training), Some(mask)) = (training, mask) else { return Ok(()) };
+        let settings = training.settings;
+        let last = settings.steps_of(steps);
+        let weight = exponential(settings.mask_weight, settings.mask_weight_last, step, last);
+        // The loss occurs in one of several steps and is weighted to count for all of them.
+        let weight = weight * f64::from(settings.mask_every.max(1));
+        mask::paint(recorder, logits.range(0..count), training.colours.view_mut())?;
+        let colours = training.colours.view();
+        frame.blend(recorder, Some(colours), PixelViews::default())?;
+        let Frame { pixels, gradients, .. } = frame;
+        mask::compare(recorder, pixels, mask.view(), weight, &mut gradients.pixels)?;
+        let by = PixelGradientViews::default();
+        frame.blend_backward(recorder, Some(colours), count, by)?;
+        mask::vote(
+            recorder,
+            VoteArgs {
+                colour_gradients: frame.gradients.colours(count),
+                visible: frame.visible(),
+                fits: frame.fits(),
+                motion_logits: logits.range(0..count),
+                motion_gradients: training.gradients.range_mut(0..count),
+                votes: training.votes.range_mut(0..2 * count),
+                evidence: training.evidence.range_mut(0..count),
+            },
+        )
+    }
+
+    /// Records the update of the logits of the first `count` Gaussians, while motion is soft. Nothing
+    /// changes where `fits` holds 0.
+    pub(super) fn update(
+        &mut self,
+        recorder: &mut Recorder,
+        fits: View<'_, u32>,
         count: usize,
         step: u32,
         steps: u32,
@@ -197,44 +239,17 @@ impl Selection {
         }
         let Selection { logits, training } = self;
         let Some(training) = training else { return Ok(()) };
-        let settings = training.settings;
-        if let Some(mask) = mask
-            && step.is_multiple_of(settings.mask_every.max(1))
-        {
-            let last = settings.steps_of(steps);
-            let weight = exponential(settings.mask_weight, settings.mask_weight_last, step, last);
-            // The loss occurs in one of several steps and is weighted to count for all of them.
-            let weight = weight * f64::from(settings.mask_every.max(1));
-            mask::paint(recorder, logits.range(0..count), training.colours.view_mut())?;
-            let colours = training.colours.view();
-            frame.blend(recorder, Some(colours), PixelViews::default())?;
-            let Frame { pixels, gradients, .. } = frame;
-            mask::compare(recorder, pixels, mask.view(), weight, &mut gradients.pixels)?;
-            let by = PixelGradientViews::default();
-            frame.blend_backward(recorder, Some(colours), count, by)?;
-            mask::vote(
-                recorder,
-                VoteArgs {
-                    colour_gradients: frame.gradients.colours(count),
-                    visible: frame.visible(),
-                    fits: frame.fits(),
-                    motion_logits: logits.range(0..count),
-                    motion_gradients: training.gradients.range_mut(0..count),
-                    votes: training.votes.range_mut(0..2 * count),
-                    evidence: training.evidence.range_mut(0..count),
-                },
-            )?;
-        }
+        let rate = training.settings.rate;
         training.adam.record(
             recorder,
-            &AdamSettings { rate: settings.rate, step: step + 1, ..AdamSettings::default() },
+            &AdamSettings { rate, step: step + 1, ..AdamSettings::default() },
             AdamArgs {
                 gradients: training.gradients.range(0..count),
                 parameters: logits.range_mut(0..count),
                 first: training.first.range_mut(0..count),
                 second: training.second.range_mut(0..count),
                 // The array is a single row, so that a frame that did not fit changes nothing.
-                visible: Some((count, frame.fits())),
+                visible: Some((count, fits)),
             },
         )
     }

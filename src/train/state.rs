@@ -1,13 +1,13 @@
-//! A trainer's state on the host: everything that its next step depends on, except the training views
-//! and settings.
+//! The state of a training on the host: everything that its next step depends on, except the training
+//! views and settings.
 
 use rand_chacha::ChaCha8Rng;
 #[cfg(feature = "files")]
 use serde::{Deserialize, Serialize};
 
-use super::frame_pool::Capacity;
 use super::motion::{Following, MotionMoments, MotionStart};
 use super::rounds::ControlChanges;
+use super::scene_optimiser::SceneOptimiser;
 use super::selection::SelectionState;
 use super::settings::TrainSettings;
 use super::trainer::Trainer;
@@ -16,7 +16,8 @@ use crate::gpu::Device;
 use crate::types::Gaussians;
 use crate::{Error, Result};
 
-/// The state of a trainer, from [`Trainer::state`] for [`Trainer::resume`].
+/// The state of a training, from [`Trainer::state`] for [`Trainer::resume`], or from
+/// [`SceneOptimiser::state`] for [`SceneOptimiser::resume`].
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(feature = "files", derive(Serialize, Deserialize))]
 pub struct TrainerState {
@@ -46,6 +47,10 @@ impl TrainerState {
     pub fn step(&self) -> u32 {
         self.step
     }
+
+    fn start(&self) -> Option<&MotionStart> {
+        self.motion.as_ref().map(|(start, ..)| start)
+    }
 }
 
 impl Trainer {
@@ -56,9 +61,44 @@ impl Trainer {
     /// As for [`step`](Self::step).
     pub fn state(&mut self) -> Result<TrainerState> {
         let pending = self.settle()?;
-        let gaussians = self.download_gaussians()?;
+        Ok(TrainerState { round: self.round.clone(), pending, ..self.scene.state()? })
+    }
+
+    /// Resumes training from a state. With the same views and settings as the trainer that the state
+    /// came from, every later step gives the same bits.
+    ///
+    /// # Errors
+    /// As for [`Trainer::new`]; [`Error::Input`] for a state that refers to views that are not given.
+    pub fn resume(
+        device: &Device,
+        views: &[TrainingView],
+        state: TrainerState,
+        settings: TrainSettings,
+    ) -> Result<Trainer> {
+        let mut pictures = state.round.iter().chain(state.pending.iter().map(|(view, _)| view));
+        if pictures.any(|&view| view >= views.len()) {
+            return Err(Error::Input("the state to resume from is of other pictures".into()));
+        }
+        let (gaussians, radius) = (&state.gaussians, state.scene_radius);
+        let mut trainer =
+            Trainer::with_scene_radius(device, views, gaussians, state.start(), settings, radius)?;
+        trainer.round.clone_from(&state.round);
+        trainer.set_settled(state.pending.clone());
+        trainer.scene.restore(state)?;
+        Ok(trainer)
+    }
+}
+
+impl SceneOptimiser {
+    /// Waits and reads everything that the next step depends on. Reading the state does not change the
+    /// course of the training.
+    ///
+    /// # Errors
+    /// As for [`gaussians`](Self::gaussians).
+    pub fn state(&mut self) -> Result<TrainerState> {
+        let gaussians = self.gaussians()?;
         let n = gaussians.len();
-        let motion = match self.download_motion()? {
+        let motion = match self.motion()? {
             None => None,
             Some((points, network)) => {
                 let trainer = self.motion.as_ref().expect("it gave its parameters");
@@ -87,74 +127,53 @@ impl Trainer {
             broken_gradients: self.broken_gradients()?,
             scene_radius: self.scene_radius,
             rng: self.rng.clone(),
-            round: self.round.clone(),
+            round: Vec::new(),
             capacities: self.frame_pool.capacities(),
-            pending,
+            pending: Vec::new(),
         })
     }
 
-    /// Resumes training from a state. With the same views (none for a trainer without them) and settings
-    /// as the trainer that the state came from, every later step gives the same bits.
+    /// Resumes training from a state. With the same settings as the optimiser that the state came from,
+    /// every later step gives the same bits.
     ///
     /// # Errors
-    /// As for [`Trainer::new`]; [`Error::Input`] for a state that refers to views that are not given.
+    /// As for [`new`](Self::new); [`Error::Input`] for the state of a trainer on views.
     pub fn resume(
         device: &Device,
-        views: &[TrainingView],
         state: TrainerState,
         settings: TrainSettings,
-    ) -> Result<Trainer> {
-        let TrainerState { step, gaussians, moments, trainable, rng, round, capacities, .. } =
-            state;
-        let mut pictures = round.iter().chain(state.pending.iter().map(|(view, _)| view));
-        if pictures.any(|&view| view >= views.len()) {
-            return Err(Error::Input("the state to resume from is of other pictures".into()));
+    ) -> Result<SceneOptimiser> {
+        if !(state.round.is_empty() && state.pending.is_empty()) {
+            let what = "the state to resume from is of a training on pictures";
+            return Err(Error::Input(what.into()));
         }
-        let start = state.motion.as_ref().map(|(start, ..)| start);
-        let scene_radius = state.scene_radius;
-        let mut trainer = match views.is_empty() {
-            true => {
-                let capacity = Capacity::of(&settings, gaussians.len());
-                Trainer::build(
-                    device,
-                    &[],
-                    &gaussians,
-                    start,
-                    settings,
-                    (scene_radius, scene_radius),
-                    capacity,
-                )?
-            }
-            false => Trainer::with_scene_radius(
-                device,
-                views,
-                &gaussians,
-                start,
-                settings,
-                scene_radius,
-            )?,
-        };
-        trainer.optimiser.set_moments(&mut trainer.stream, &moments)?;
-        let words: Vec<u32> = trainable.into_iter().map(u32::from).collect();
-        trainer.stream.upload(&mut trainer.optimiser.trainable, &words)?;
-        if let (Some(motion), Some((_, moments, following))) = (&mut trainer.motion, &state.motion)
-        {
-            motion.set_moments(&mut trainer.stream, moments)?;
-            motion.set_following(&mut trainer.stream, following)?;
+        let (gaussians, radius) = (&state.gaussians, state.scene_radius);
+        let mut scene = SceneOptimiser::new(device, gaussians, state.start(), radius, settings)?;
+        scene.restore(state)?;
+        Ok(scene)
+    }
+
+    /// Restores what a new optimiser of the state's Gaussians and motion does not hold.
+    fn restore(&mut self, state: TrainerState) -> Result<()> {
+        self.optimiser.set_moments(&mut self.stream, &state.moments)?;
+        let words: Vec<u32> = state.trainable.into_iter().map(u32::from).collect();
+        self.stream.upload(&mut self.optimiser.trainable, &words)?;
+        if let (Some(motion), Some((_, moments, following))) = (&mut self.motion, &state.motion) {
+            motion.set_moments(&mut self.stream, moments)?;
+            motion.set_following(&mut self.stream, following)?;
         }
-        if let (Some(selection), Some(state)) = (&mut trainer.selection, state.selection) {
-            selection.set_state(&mut trainer.stream, &state)?;
+        if let (Some(selection), Some(state)) = (&mut self.selection, state.selection) {
+            selection.set_state(&mut self.stream, &state)?;
         }
-        if let (Some(statistics), Some(sums)) = (&mut trainer.statistics, state.statistics) {
-            statistics.restore(&mut trainer.stream, &sums)?;
+        if let (Some(statistics), Some(sums)) = (&mut self.statistics, state.statistics) {
+            statistics.restore(&mut self.stream, &sums)?;
         }
-        trainer.control_changes = state.control_changes;
-        trainer.broken_before = state.broken_gradients;
-        for (size, capacity) in capacities {
-            trainer.frame_pool.reserve(device, size, capacity)?;
+        self.control_changes = state.control_changes;
+        self.broken_before = state.broken_gradients;
+        for (size, capacity) in state.capacities {
+            self.frame_pool.reserve(&self.device, size, capacity)?;
         }
-        (trainer.step, trainer.rng, trainer.round) = (step, rng, round);
-        trainer.set_settled(state.pending);
-        Ok(trainer)
+        (self.step, self.rng) = (state.step, state.rng);
+        Ok(())
     }
 }

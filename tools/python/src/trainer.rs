@@ -11,8 +11,8 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use splat4d::gpu::{Buffer, Stream};
-use splat4d::train::own_loss::OwnGradients;
-use splat4d::train::{self, MotionStart, TrainSettings, TrainingView};
+use splat4d::train::own_loss::{Differentiated, OwnGradients, Pass, Rendered as Seen};
+use splat4d::train::{self, MotionStart, SceneOptimiser, TrainSettings, TrainingView};
 use splat4d::types::{Gaussians, Image, sh_coefficients};
 use splat4d::{gpu, renderer, scene, types};
 use std::sync::{Arc, Mutex, MutexGuard};
@@ -115,18 +115,46 @@ pub struct Trainer {
 
 struct State {
     device: gpu::Device,
-    trainer: train::Trainer,
+    trainer: Kind,
     stream: Stream,
     own: Own,
     gradients: Option<PixelGradients>,
 }
 
-/// The last part of a step with the caller's loss that was done.
-#[derive(Clone, Copy, PartialEq)]
+enum Kind {
+    /// With training views and the engine's loss.
+    OnViews(train::Trainer),
+    /// For a loss of the caller's own.
+    Alone(SceneOptimiser),
+}
+
+impl Kind {
+    fn scene(&mut self) -> splat4d::Result<&mut SceneOptimiser> {
+        match self {
+            Kind::OnViews(trainer) => trainer.scene(),
+            Kind::Alone(scene) => Ok(scene),
+        }
+    }
+
+    fn progress(&self) -> train::Progress {
+        match self {
+            Kind::OnViews(trainer) => trainer.progress(),
+            Kind::Alone(scene) => scene.progress(),
+        }
+    }
+}
+
+/// A step with the caller's loss.
 enum Own {
     Nothing,
-    Forward((u32, u32)),
-    Backward,
+    Forward(Pass<Seen>),
+    Backward(Pass<Differentiated>),
+}
+
+fn out_of_turn(what: &str) -> splat4d::Error {
+    splat4d::Error::Input(format!(
+        "a step with a loss of your own: `{what}` comes in the order forward, backward, update"
+    ))
 }
 
 /// The caller's gradients with respect to the rendered image, on the device, for one image size.
@@ -151,18 +179,23 @@ struct MotionGradients {
 impl State {
     /// Ends the step with the caller's loss, if one is in progress.
     fn end_own(&mut self) -> splat4d::Result<()> {
-        if self.own != Own::Nothing {
-            self.own = Own::Nothing;
-            self.trainer.conclude()?;
+        match std::mem::replace(&mut self.own, Own::Nothing) {
+            Own::Nothing => Ok(()),
+            Own::Forward(pass) => self.trainer.scene()?.conclude(pass).map(drop),
+            Own::Backward(pass) => self.trainer.scene()?.conclude(pass).map(drop),
         }
-        Ok(())
     }
 
     fn steps(&mut self, count: u32, until: Instant) -> splat4d::Result<u32> {
         self.end_own()?;
+        let Kind::OnViews(trainer) = &mut self.trainer else {
+            let what =
+                "a step on the trainer's own pictures: there are none; see `Trainer.forward`";
+            return Err(splat4d::Error::Input(what.into()));
+        };
         let mut done = 0;
         while done < count {
-            self.trainer.step()?;
+            trainer.step()?;
             done += 1;
             if Instant::now() >= until {
                 break;
@@ -177,20 +210,23 @@ impl State {
         time: f64,
     ) -> splat4d::Result<renderer::Rendered> {
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
-        loop {
-            self.end_own()?;
-            let mut recorder = self.stream.record()?;
-            self.trainer.forward(&mut recorder, camera, time)?;
-            self.own = Own::Forward((width, height));
-            let ticket = self.stream.submit(recorder)?;
-            self.stream.wait(ticket)?;
-            if self.trainer.fits()? {
-                break;
+        self.end_own()?;
+        let State { trainer, stream, own, .. } = self;
+        let scene = trainer.scene()?;
+        let pass = loop {
+            let mut recorder = stream.record()?;
+            let mut pass = scene.forward(&mut recorder, camera, time)?;
+            let ticket = stream.submit(recorder)?;
+            stream.wait(ticket)?;
+            if scene.fits(&mut pass)? {
+                break pass;
             }
-        }
-        let pixels = self.trainer.pixels()?;
-        let rgba = self.stream.download(&pixels.rgba)?.into_flattened();
-        let depth = self.stream.download(&pixels.depth)?;
+            scene.conclude(pass)?;
+        };
+        let pixels = scene.pixels(&pass)?;
+        let rgba = stream.download(&pixels.rgba)?.into_flattened();
+        let depth = stream.download(&pixels.depth)?;
+        *own = Own::Forward(pass);
         Ok(renderer::Rendered {
             rgba: Image { width, height, channels: 4, pixels: rgba },
             depth: Image { width, height, channels: 1, pixels: depth },
@@ -207,6 +243,10 @@ impl State {
             });
         }
         let State { trainer, stream, own, gradients, .. } = self;
+        let Own::Forward(pass) = std::mem::replace(own, Own::Nothing) else {
+            return Err(out_of_turn("backward"));
+        };
+        let scene = trainer.scene()?;
         let by = gradients.as_mut().expect("made above");
         stream.upload(&mut by.rgba, rgba)?;
         if let Some(depth) = depth {
@@ -214,29 +254,40 @@ impl State {
         }
         let mut recorder = stream.record()?;
         let depth = depth.map(|_| by.depth.view());
-        trainer.backward(&mut recorder, OwnGradients { rgba: by.rgba.view(), depth })?;
-        *own = Own::Backward;
+        let by = OwnGradients { rgba: by.rgba.view(), depth };
+        let pass = scene.backward(&mut recorder, pass, by)?;
         let ticket = stream.submit(recorder)?;
         stream.wait(ticket)?;
-        let count = trainer.progress().gaussians;
-        let gaussians = trainer.gradients().download_first(stream, count)?;
-        let pose = stream.download(trainer.pose_gradient()?)?;
-        let motion = match trainer.motion_gradients() {
+        let count = scene.progress().gaussians;
+        let found = scene.gradients(&pass)?;
+        let gaussians = found.gaussians.download_first(stream, count)?;
+        let pose = stream.download(found.pose)?;
+        let motion = match found.motion {
             Some((model, log_radii)) => Some(MotionGradients {
                 model: stream.download(model)?,
                 log_radii: stream.download(log_radii)?,
             }),
             None => None,
         };
+        *own = Own::Backward(pass);
         Ok(Gradients { gaussians, pose, motion })
     }
 
     fn update(&mut self) -> splat4d::Result<()> {
-        let mut recorder = self.stream.record()?;
-        self.trainer.update(&mut recorder)?;
-        let ticket = self.stream.submit(recorder)?;
-        self.stream.wait(ticket)?;
-        self.end_own()
+        let State { trainer, stream, own, .. } = self;
+        let pass = match std::mem::replace(own, Own::Nothing) {
+            Own::Backward(pass) => pass,
+            other => {
+                *own = other;
+                return Err(out_of_turn("update"));
+            }
+        };
+        let scene = trainer.scene()?;
+        let mut recorder = stream.record()?;
+        let pass = scene.update(&mut recorder, pass)?;
+        let ticket = stream.submit(recorder)?;
+        stream.wait(ticket)?;
+        scene.conclude(pass).map(drop)
     }
 }
 
@@ -283,9 +334,11 @@ impl Trainer {
                 views.iter().map(|view| TrainingView::clone(&view.view)).collect();
             let trainer = match views.is_empty() {
                 true => {
-                    train::Trainer::without_pictures(&device, gaussians, motion, extent, settings)?
+                    Kind::Alone(SceneOptimiser::new(&device, gaussians, motion, extent, settings)?)
                 }
-                false => train::Trainer::new(&device, &views, gaussians, motion, settings)?,
+                false => Kind::OnViews(train::Trainer::new(
+                    &device, &views, gaussians, motion, settings,
+                )?),
             };
             let stream = device.stream()?;
             Ok(State { device, trainer, stream, own: Own::Nothing, gradients: None })
@@ -339,7 +392,11 @@ impl Trainer {
     /// Waits for the device and returns the terms of the last step's loss by name: `l1`, `ssim` and
     /// `disparity`. `None` before the first step, and if the last step has to be repeated.
     fn loss<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyDict>>> {
-        let found = py.detach(|| self.lock().trainer.loss()).map_err(raised)?;
+        let read = || match &mut self.lock().trainer {
+            Kind::OnViews(trainer) => trainer.loss(),
+            Kind::Alone(_) => Ok(None),
+        };
+        let found = py.detach(read).map_err(raised)?;
         let Some(found) = found else { return Ok(None) };
         let dict = PyDict::new(py);
         dict.set_item("l1", found.l1)?;
@@ -352,14 +409,19 @@ impl Trainer {
     /// update, against its training view. `None` where `loss` gives `None`, for a view whose weights are
     /// all 0, and after a step in which the mask loss has overwritten the render.
     fn psnr(&self, py: Python<'_>) -> PyResult<Option<f64>> {
-        py.detach(|| self.lock().trainer.psnr()).map_err(raised)
+        let read = || match &mut self.lock().trainer {
+            Kind::OnViews(trainer) => trainer.psnr(),
+            Kind::Alone(_) => Ok(None),
+        };
+        py.detach(read).map_err(raised)
     }
 
     /// Waits for the device and returns the current scene, with the cameras of the initial scene.
     fn scene(&self, py: Python<'_>) -> PyResult<Scene> {
         let read = || {
-            let trainer = &mut self.lock().trainer;
-            Ok((trainer.gaussians()?, trainer.motion()?))
+            let state = &mut self.lock();
+            let scene = state.trainer.scene()?;
+            Ok((scene.gaussians()?, scene.motion()?))
         };
         let (gaussians, motion) = py.detach(read).map_err(raised)?;
         let mut made = scene::Scene {
@@ -406,7 +468,11 @@ impl Trainer {
         grad_rgba: &Bound<'py, PyAny>,
         grad_depth: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyDict>> {
-        let Own::Forward((width, height)) = py.detach(|| self.lock().own) else {
+        let size = || match &self.lock().own {
+            Own::Forward(pass) => Some(pass.size()),
+            _ => None,
+        };
+        let Some((width, height)) = py.detach(size) else {
             return Err(crate::error::out_of_range("backward comes after forward".into()));
         };
         let sides = [arrays::Side::Exactly(height as usize), arrays::Side::Exactly(width as usize)];
