@@ -133,7 +133,7 @@ impl MlpWorkload {
         pass: Pass,
         bounds: [Bound; 2],
     ) -> Result<MlpWorkload> {
-        let network = Network::new(&h.device, &problem.shape)?;
+        let network = Network::plan(&h.device, &problem.shape)?;
         let rows = problem.gradients.len();
         let halves: &[[f32; 4]] = bytemuck::cast_slice(&problem.gradients);
         Ok(MlpWorkload {

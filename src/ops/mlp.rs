@@ -40,7 +40,7 @@ struct Layer {
 /// # ) -> splat4d::Result<()> {
 /// let parameters = device.upload("parameters", &network.parameters)?;
 /// let times = device.upload("times", &[0.0f32, 0.5])?;
-/// let plan = Network::new(device, &network.shape)?;
+/// let plan = Network::plan(device, &network.shape)?;
 /// let rows = nodes.len() / 3 * times.len();
 /// let mut scratch = plan.scratch(device, rows)?;
 /// let mut transforms = device.buffer("motions", 2 * rows)?;
@@ -77,7 +77,7 @@ impl Network {
     ///
     /// # Errors
     /// [`Error::Input`] for a width that is no multiple of 16, no layers, or more than 24 octaves.
-    pub fn new(device: &Device, shape: &NetShape) -> Result<Network> {
+    pub fn plan(device: &Device, shape: &NetShape) -> Result<Network> {
         let wrong = |what: &str| Err(Error::Input(format!("deformation network: {what}")));
         if shape.width == 0 || !shape.width.is_multiple_of(16) {
             return wrong(&format!("the width is {}, it must be a multiple of 16", shape.width));

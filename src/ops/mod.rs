@@ -1,8 +1,19 @@
 //! Operations: algorithms that consist of several kernel dispatches.
 //!
-//! Each op has three steps: `plan` fixes the sizes, `scratch` allocates the intermediate buffers,
-//! `record` records the dispatches. `record` never allocates, submits or waits. The documentation of
-//! `record` lists the dispatches in order; a profiled recording reports one time for each.
+//! There are three kinds:
+//!
+//! - An op that keeps nothing from one recording to the next ([`scan`], [`sort`], [`loss`], [`mlp`],
+//!   [`flow`]) is a plan. `plan` fixes the sizes, `scratch` allocates the intermediate buffers, and
+//!   `record` (or `forward` and `backward`) takes both. [`render`] joins plan, intermediate buffers and
+//!   image in a [`Frame`](render::Frame).
+//! - An op that keeps something on the device (the lists of [`neighbours`], [`deform`] and [`arap`], the
+//!   moved Gaussians of [`motion`], the draws and counts of [`density`] and [`adam`]) owns its buffers.
+//!   `new` allocates them for a capacity, and the methods that record take the rest.
+//! - A single dispatch without intermediate buffers ([`path`], [`mask`], [`texel`]) is a function.
+//!
+//! What takes a [`Recorder`](crate::gpu::Recorder) records dispatches; it never allocates, submits or
+//! waits. Its documentation lists the dispatches in order; a profiled recording reports one time for
+//! each.
 
 pub mod adam;
 pub mod arap;

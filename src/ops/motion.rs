@@ -83,7 +83,7 @@ impl Motion {
                         network.parameters.len(),
                     )));
                 }
-                let plan = Network::new(&device, &network.shape)?;
+                let plan = Network::plan(&device, &network.shape)?;
                 let scratch = plan.scratch(&device, rows)?;
                 let parameters = device.upload("network parameters", &network.parameters)?;
                 (Model::Network(plan, scratch), parameters)

@@ -31,7 +31,7 @@ pub(super) fn fit(
     let nodes = scene.control_points.positions.as_flattened();
     let rows = scene.control_points.len() * TIMES;
     let student = DeformNet::random(shape, seed);
-    let (plan, mut adam) = (Network::new(device, &shape)?, Adam::new(device)?);
+    let (plan, mut adam) = (Network::plan(device, &shape)?, Adam::new(device)?);
     let mut scratch = plan.scratch(device, rows)?;
     let count = student.parameters.len();
     let mut parameters = device.upload("student parameters", &student.parameters)?;
