@@ -118,6 +118,7 @@ pub mod error;
 #[cfg(feature = "reconstruct")]
 pub mod eval;
 #[cfg(feature = "reconstruct")]
+#[allow(clippy::too_many_arguments, reason = "one function takes a point with its derivatives")]
 pub mod geometry;
 pub mod gpu;
 #[cfg(feature = "files")]
@@ -133,6 +134,7 @@ pub mod renderer;
 pub mod report;
 pub mod scene;
 #[cfg(feature = "reconstruct")]
+#[allow(clippy::too_many_arguments, reason = "four functions take the clip's parts one by one")]
 pub mod track;
 pub mod train;
 pub mod types;

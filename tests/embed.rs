@@ -10,7 +10,7 @@ use splat4d::embed::{
 };
 use splat4d::gpu::{Buffer, Device, Recorder, Stream, Ticket};
 use splat4d::ops::gaussians::GaussianBuffers;
-use splat4d::ops::loss::{Loss, LossSettings, Reference};
+use splat4d::ops::loss::{Loss, LossArgs, LossSettings, Reference};
 use splat4d::ops::render::{self, FrameGradients, Render};
 use splat4d::ops::texel::{self, Packing};
 use splat4d::oracle::texel as oracle;
@@ -782,7 +782,13 @@ fn dispatches_come_in_the_documented_order() -> Result<()> {
     let how = LossSettings::default();
     let mut recorder = stream.record()?;
     recorder.profile()?;
-    loss.record(&mut recorder, &how, pixels, &reference, None, &mut by.pixels, &mut scratch)?;
+    let args = LossArgs {
+        rendered: pixels,
+        reference: &reference,
+        disparity: None,
+        gradients: &mut by.pixels,
+    };
+    loss.record(&mut recorder, &how, args, &mut scratch)?;
     let ticket = stream.submit(recorder)?;
     let losses: Vec<_> = stream.times(ticket)?.into_iter().map(|time| time.kernel).collect();
     let expected = ["columns", "ssim", "ssim", "ssim", "total", "gradient", "total"];

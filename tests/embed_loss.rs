@@ -6,7 +6,7 @@ mod host;
 
 use host::{Host, camera, gaussians};
 use splat4d::gpu::{Buffer, Device, Recorder, Stream};
-use splat4d::ops::loss::{Loss, LossSettings, Reference};
+use splat4d::ops::loss::{Loss, LossArgs, LossSettings, Reference};
 use splat4d::oracle::view::{Cloud, View, perturbed};
 use splat4d::oracle::{deform, mlp, path, render};
 use splat4d::train::own_loss::{Differentiated, OwnGradients, Pass};
@@ -331,8 +331,8 @@ fn step(
     let mut recorder = stream.record().unwrap();
     let pass = trainer.forward(&mut recorder, &camera(SIZE.0, SIZE.1), 0.0).unwrap();
     let pixels = trainer.pixels(&pass).unwrap();
-    loss.record(&mut recorder, &how, pixels, reference, None, &mut gradients, &mut scratch)
-        .unwrap();
+    let args = LossArgs { rendered: pixels, reference, disparity: None, gradients: &mut gradients };
+    loss.record(&mut recorder, &how, args, &mut scratch).unwrap();
     let by = OwnGradients { rgba: gradients.rgba.view(), depth: Some(gradients.depth.view()) };
     let pass = trainer.backward(&mut recorder, pass, by).unwrap();
     let pass = trainer.update(&mut recorder, pass).unwrap();

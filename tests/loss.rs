@@ -2,7 +2,7 @@
 
 mod common;
 
-use splat4d::ops::loss::{KnownDisparity, Loss, LossSettings, Reference};
+use splat4d::ops::loss::{KnownDisparity, Loss, LossArgs, LossSettings, Reference};
 use splat4d::ops::render::Render;
 use splat4d::types::{Image, RenderSettings};
 
@@ -27,10 +27,12 @@ fn sizes_that_differ_are_named() {
         op.record(
             &mut stream.record().unwrap(),
             &LossSettings::default(),
-            &pixels,
-            &photo,
-            Some(&known),
-            &mut gradients,
+            LossArgs {
+                rendered: &pixels,
+                reference: &photo,
+                disparity: Some(&known),
+                gradients: &mut gradients,
+            },
             &mut scratch,
         )
         .map_err(|error| error.to_string())

@@ -3,8 +3,8 @@
 use super::{Bound, Case, Harness};
 use crate::error::Result;
 use crate::ops::density::{
-    Adaptation, AdaptationArgs, Relocation, RelocationArgs, accumulate, jitter, regularise,
-    reset_opacity,
+    Adaptation, AdaptationArgs, JitterArgs, Relocation, RelocationArgs, accumulate, jitter,
+    regularise, reset_opacity,
 };
 use crate::oracle::{Real, density};
 use crate::types::{AdaptSettings, MotionClass};
@@ -253,13 +253,15 @@ fn noise(h: &mut Harness) -> Result<()> {
     let size = 0.5;
     jitter(
         &mut recorder,
-        moved.view_mut(),
-        scale_buffer.view(),
-        rotation_buffer.view(),
-        logit_buffer.view(),
-        size,
-        SEED,
-        STEP,
+        JitterArgs {
+            positions: moved.view_mut(),
+            log_scales: scale_buffer.view(),
+            rotations: rotation_buffer.view(),
+            opacity_logits: logit_buffer.view(),
+            size,
+            seed: SEED,
+            step: STEP,
+        },
     )?;
     h.stream.submit(recorder)?;
     fn oracle<R: Real>(values: [&[f32]; 4], size: f32) -> Vec<R> {

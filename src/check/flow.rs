@@ -207,8 +207,7 @@ fn start(h: &mut Harness) -> Result<()> {
                 flow::accumulate(
                     &census[0],
                     &census[1],
-                    s.width,
-                    s.height,
+                    [s.width, s.height],
                     radius,
                     path,
                     [small_step, large_step],

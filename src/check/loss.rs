@@ -3,7 +3,7 @@
 use super::{Bound, Case, Harness};
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Recorder, Stream};
-use crate::ops::loss::{KnownDisparity, Loss, LossSettings, LossValue, Reference};
+use crate::ops::loss::{KnownDisparity, Loss, LossArgs, LossSettings, LossValue, Reference};
 use crate::ops::render::{PixelBuffers, PixelGradients};
 use crate::oracle::Real;
 use crate::oracle::loss::{self, DepthKind, DepthTerm, Target};
@@ -171,15 +171,13 @@ fn run(harness: &mut Harness, input: &Input) -> Result<Answer> {
     scratch.derivatives.iter_mut().for_each(|channel| poison(&mut recorder, channel));
     poison(&mut recorder, &mut scratch.partials);
     poison(&mut recorder, &mut scratch.totals);
-    op.record(
-        &mut recorder,
-        &input.settings,
-        &pixels,
-        &reference,
-        known.as_ref(),
-        &mut gradients,
-        &mut scratch,
-    )?;
+    let args = LossArgs {
+        rendered: &pixels,
+        reference: &reference,
+        disparity: known.as_ref(),
+        gradients: &mut gradients,
+    };
+    op.record(&mut recorder, &input.settings, args, &mut scratch)?;
     stream.submit(recorder)?;
     for (windowed, derivatives) in scratch.windowed.iter().zip(&scratch.derivatives) {
         read(stream, windowed, area)?;

@@ -132,11 +132,23 @@ impl Default for LossSettings {
     }
 }
 
+/// Inputs and outputs of the loss.
+pub struct LossArgs<'a> {
+    /// The rendered image.
+    pub rendered: &'a PixelBuffers,
+    /// The image that it should equal.
+    pub reference: &'a Reference,
+    /// Known disparity; without it, the gradient with respect to depth is zero.
+    pub disparity: Option<&'a KnownDisparity>,
+    /// Receives the gradient with respect to the rendered image.
+    pub gradients: &'a mut PixelGradients,
+}
+
 /// The photometric loss for images of one size.
 ///
 /// ```no_run
 /// use splat4d::gpu::{Device, Recorder};
-/// use splat4d::ops::loss::{Loss, LossSettings, Reference};
+/// use splat4d::ops::loss::{Loss, LossArgs, LossSettings, Reference};
 /// use splat4d::ops::render::{PixelBuffers, PixelGradients};
 /// use splat4d::types::Image;
 /// # fn compare(
@@ -147,7 +159,8 @@ impl Default for LossSettings {
 /// let loss = Loss::plan(device, image.width, image.height);
 /// let mut scratch = loss.scratch(device)?;
 /// let settings = LossSettings::default();
-/// loss.record(recorder, &settings, rendered, &reference, None, gradients, &mut scratch)?;
+/// let args = LossArgs { rendered, reference: &reference, disparity: None, gradients };
+/// loss.record(recorder, &settings, args, &mut scratch)?;
 /// # Ok(())
 /// # }
 /// ```
@@ -228,8 +241,7 @@ impl Loss {
         (run, lines * length.div_ceil(run))
     }
 
-    /// Records the loss of `rendered` against `reference`, and its gradient with respect to the image.
-    /// Without `disparity`, the gradient with respect to depth is zero. Dispatches: `loss/columns`,
+    /// Records the loss, and its gradient with respect to the image. Dispatches: `loss/columns`,
     /// `loss/ssim` for each channel, `loss/total`, `loss/gradient`, `loss/total`; with a disparity
     /// `loss/depth`, `loss/total`.
     ///
@@ -239,15 +251,25 @@ impl Loss {
         &self,
         recorder: &mut Recorder,
         settings: &LossSettings,
-        rendered: &PixelBuffers,
-        reference: &Reference,
-        disparity: Option<&KnownDisparity>,
-        gradients: &mut PixelGradients,
+        mut args: LossArgs<'_>,
         scratch: &mut LossScratch,
     ) -> Result<()> {
+        self.check(&args, scratch)?;
+        self.ssim(recorder, settings, &args, scratch)?;
+        self.photometric(recorder, settings, &mut args, scratch)?;
+        match args.disparity {
+            Some(known) => self.disparity(recorder, settings, known, args, scratch),
+            None => {
+                recorder.fill(args.gradients.depth_mut(), 0);
+                Ok(())
+            }
+        }
+    }
+
+    fn check(&self, args: &LossArgs<'_>, scratch: &LossScratch) -> Result<()> {
         for (arg, size) in [
-            ("rendered", (rendered.width, rendered.height)),
-            ("reference", (reference.width, reference.height)),
+            ("rendered", (args.rendered.width, args.rendered.height)),
+            ("reference", (args.reference.width, args.reference.height)),
         ] {
             if size != (self.width, self.height) {
                 return Err(Error::Shape {
@@ -258,16 +280,26 @@ impl Loss {
                 });
             }
         }
-        let known = disparity.map_or(self.pixels(), |known| known.values.len());
+        let known = args.disparity.map_or(self.pixels(), |known| known.values.len());
         super::at_least(
             "loss",
             &[
-                ("rgba gradients", self.pixels(), gradients.rgba.len()),
-                ("depth gradients", self.pixels(), gradients.depth.len()),
+                ("rgba gradients", self.pixels(), args.gradients.rgba.len()),
+                ("depth gradients", self.pixels(), args.gradients.depth.len()),
                 ("known disparities", self.pixels(), known),
                 ("scratch's pixels", self.pixels(), scratch.windowed[0].len()),
             ],
-        )?;
+        )
+    }
+
+    /// Records SSIM, and its derivatives with respect to the windowed moments.
+    fn ssim(
+        &self,
+        recorder: &mut Recorder,
+        settings: &LossSettings,
+        LossArgs { rendered, reference, .. }: &LossArgs<'_>,
+        scratch: &mut LossScratch,
+    ) -> Result<()> {
         let limits = *recorder.device().limits();
         let (width, height) = (self.width as i32, self.height as i32);
         let [background_red, background_green, background_blue] = settings.background;
@@ -312,14 +344,28 @@ impl Loss {
                 },
             )?;
         }
-        total(recorder, partials, 3 * row_groups, totals, 1)?;
+        total(recorder, partials, 3 * row_groups, totals, 1)
+    }
+
+    /// Records L1, and the gradient of L1 and SSIM with respect to the image.
+    fn photometric(
+        &self,
+        recorder: &mut Recorder,
+        settings: &LossSettings,
+        LossArgs { rendered, reference, gradients, .. }: &mut LossArgs<'_>,
+        scratch: &mut LossScratch,
+    ) -> Result<()> {
+        let limits = *recorder.device().limits();
+        let [background_red, background_green, background_blue] = settings.background;
+        let (column_run, by_columns) = self.by_columns();
+        let LossScratch { derivatives, partials, totals, .. } = scratch;
         let per_weight = share_of(3.0 * reference.weight);
         let share = f64::from(settings.ssim_share);
         recorder.dispatch::<Gradient>(
             Groups::linear(by_columns, 64, &limits)?,
             GradientParams {
-                width,
-                height,
+                width: self.width as i32,
+                height: self.height as i32,
                 run: column_run as i32,
                 background_red,
                 background_green,
@@ -337,11 +383,19 @@ impl Loss {
                 partials: partials.view_mut(),
             },
         )?;
-        total(recorder, partials, by_columns.div_ceil(64), totals, 0)?;
-        let Some(disparity) = disparity else {
-            recorder.fill(gradients.depth_mut(), 0);
-            return Ok(());
-        };
+        total(recorder, partials, by_columns.div_ceil(64), totals, 0)
+    }
+
+    /// Records the loss of the disparity, and adds its gradient.
+    fn disparity(
+        &self,
+        recorder: &mut Recorder,
+        settings: &LossSettings,
+        disparity: &KnownDisparity,
+        LossArgs { rendered, gradients, .. }: LossArgs<'_>,
+        LossScratch { partials, totals, .. }: &mut LossScratch,
+    ) -> Result<()> {
+        let limits = *recorder.device().limits();
         let pixels = self.pixels();
         let per_weight = share_of(disparity.weight);
         recorder.dispatch::<Depth>(

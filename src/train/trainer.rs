@@ -8,7 +8,7 @@ use super::selection::Selection;
 use super::settings::TrainSettings;
 use super::views::{TrainingView, due, extent, scene_radius};
 use crate::gpu::{Device, Readback, Ticket};
-use crate::ops::loss::{LossSettings, LossValue};
+use crate::ops::loss::{LossArgs, LossSettings, LossValue};
 use crate::ops::render::{FrameCounts, PixelGradientViews};
 use crate::types::Gaussians;
 use crate::{Error, Result};
@@ -49,9 +49,9 @@ impl Trainer {
     /// follow the control points, which are trained as well; without it, everything is static.
     ///
     /// # Errors
-    /// [`Error::Input`] without views or Gaussians, or for a number that is out of its [range],
-    /// including NaN; [`Error::OutOfMemory`]; [`Error::Shape`] when a view's image and its camera,
-    /// weights, disparity or mask differ in size.
+    /// [`Error::Input`] without views or Gaussians, or for a number that is out of its
+    /// [range](crate::types::range), including NaN; [`Error::OutOfMemory`]; [`Error::Shape`] when a view's
+    /// image and its camera, weights, disparity or mask differ in size.
     pub fn new(
         device: &Device,
         views: &[TrainingView],
@@ -246,15 +246,13 @@ impl Trainer {
         };
         let resources = scene.frame_pool.for_size(&scene.device, pass.size())?;
         let (frame, scratch) = (&mut resources.frame, &mut resources.loss_scratch);
-        resources.loss.record(
-            &mut recorder,
-            &how,
-            &frame.pixels,
-            &view.reference,
-            view.disparity.as_ref(),
-            &mut frame.gradients.pixels,
-            scratch,
-        )?;
+        let args = LossArgs {
+            rendered: &frame.pixels,
+            reference: &view.reference,
+            disparity: view.disparity.as_ref(),
+            gradients: &mut frame.gradients.pixels,
+        };
+        resources.loss.record(&mut recorder, &how, args, scratch)?;
         let (by, mask) = (PixelGradientViews::default(), view.mask.as_ref());
         let pass = scene.differentiate(&mut recorder, pass, by, false, mask)?;
         let pass = scene.learn(&mut recorder, pass)?;

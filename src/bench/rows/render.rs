@@ -10,7 +10,7 @@ use crate::bench::verify::Check;
 use crate::check::Bound;
 use crate::gpu::Device;
 use crate::ops::gaussians::SH_BAND;
-use crate::ops::loss::{Loss, LossSettings, Reference};
+use crate::ops::loss::{Loss, LossArgs, LossSettings, Reference};
 use crate::oracle::loss::{self, Target};
 use crate::oracle::project::{Splat, project};
 use crate::oracle::raster::{self, Pixels};
@@ -309,8 +309,9 @@ fn photometric(device: &Device, seed: u64, width: u32, height: u32) -> Result<Jo
     let mut scratch = op.scratch(device)?;
     let mut stream = device.stream()?;
     let mut recorder = stream.record()?;
-    let (known, s) = (None, &mut scratch);
-    op.record(&mut recorder, &settings, &frame, &reference, known, &mut by_pixel, s)?;
+    let gradients = &mut by_pixel;
+    let args = LossArgs { rendered: &frame, reference: &reference, disparity: None, gradients };
+    op.record(&mut recorder, &settings, args, &mut scratch)?;
     stream.submit(recorder)?;
     let got = stream.download(&by_pixel.rgba)?;
     let value = op.value(&mut stream, &reference, None, &scratch)?;
@@ -351,6 +352,8 @@ fn photometric(device: &Device, seed: u64, width: u32, height: u32) -> Result<Jo
     let work = Work { bytes, operations: values * (4 + 3) * 2 * 2 * 11 };
     Job::recorded(device, check.accuracy(), work, move |recorder| {
         let s = &mut scratch;
-        op.record(recorder, &settings, &frame, &reference, None, &mut by_pixel, s)
+        let gradients = &mut by_pixel;
+        let args = LossArgs { rendered: &frame, reference: &reference, disparity: None, gradients };
+        op.record(recorder, &settings, args, s)
     })
 }

@@ -20,22 +20,32 @@ pub const DEAD_OPACITY: f64 = 0.005;
 /// Workgroup size of all kernels of the family.
 const WORKGROUP: u32 = 64;
 
+/// Inputs and output of [`jitter`].
+pub struct JitterArgs<'a> {
+    /// Centres, three values each; changed in place.
+    pub positions: ViewMut<'a, f32>,
+    /// Log-scales, three values each.
+    pub log_scales: View<'a, f32>,
+    /// Rotations.
+    pub rotations: View<'a, [f32; 4]>,
+    /// Opacity logits.
+    pub opacity_logits: View<'a, f32>,
+    /// Factor of the noise.
+    pub size: f32,
+    /// Seed of the noise.
+    pub seed: u32,
+    /// Number of the step; each number gives different noise.
+    pub step: u32,
+}
+
 /// Records MCMC's exploration: noise with the Gaussian's covariance, times `size`, is added to every
 /// centre; the fainter the Gaussian, the stronger the noise. A displacement that is not finite is
 /// skipped.
 ///
 /// # Errors
 /// [`Error::Shape`] where the lengths disagree.
-pub fn jitter(
-    recorder: &mut Recorder,
-    positions: ViewMut<'_, f32>,
-    log_scales: View<'_, f32>,
-    rotations: View<'_, [f32; 4]>,
-    opacity_logits: View<'_, f32>,
-    size: f32,
-    seed: u32,
-    step: u32,
-) -> Result<()> {
+pub fn jitter(recorder: &mut Recorder, args: JitterArgs<'_>) -> Result<()> {
+    let JitterArgs { positions, log_scales, rotations, opacity_logits, size, seed, step } = args;
     let count = opacity_logits.len();
     equal("positions", 3 * count, positions.len())?;
     equal("log_scales", 3 * count, log_scales.len())?;

@@ -102,9 +102,16 @@ impl<G> Frame<G> {
         let Frame { plan, scratch: s, .. } = self;
         plan.check_count(len)?;
         recorder.update(s.count.view_mut(), &[len as u32])?;
-        let limits = *recorder.device().limits();
-        let groups = Groups::linear(len, 64, &limits)?;
-        let (count, capacity) = (len as u32, plan.intersections as u32);
+        self.rank(recorder, len)?;
+        self.emit(recorder, len)?;
+        self.list(recorder)
+    }
+
+    /// Records the order of the visible splats by depth.
+    fn rank(&mut self, recorder: &mut Recorder, len: usize) -> Result<()> {
+        let Frame { plan, scratch: s, .. } = self;
+        let groups = Groups::linear(len, 64, recorder.device().limits())?;
+        let count = len as u32;
         plan.scan.record(
             recorder,
             ScanArgs {
@@ -139,7 +146,14 @@ impl<G> Frame<G> {
                 sorted_payload: s.splat_from_rank.view_mut(),
             },
             &mut s.depth_sort,
-        )?;
+        )
+    }
+
+    /// Records the intersections of the splats with the tiles, in the order of depth.
+    fn emit(&mut self, recorder: &mut Recorder, len: usize) -> Result<()> {
+        let Frame { plan, scratch: s, .. } = self;
+        let groups = Groups::linear(len, 64, recorder.device().limits())?;
+        let (count, capacity) = (len as u32, plan.intersections as u32);
         recorder.dispatch::<bin::Counts>(
             groups,
             bin::CountsParams { count },
@@ -189,7 +203,13 @@ impl<G> Frame<G> {
                 counts: s.counts.view_mut(),
                 fits: s.fits.view_mut(),
             },
-        )?;
+        )
+    }
+
+    /// Records the lists of the intersections by tile.
+    fn list(&mut self, recorder: &mut Recorder) -> Result<()> {
+        let Frame { plan, scratch: s, .. } = self;
+        let capacity = plan.intersections as u32;
         plan.tile_sort.record(
             recorder,
             SortArgs {

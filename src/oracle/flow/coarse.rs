@@ -41,8 +41,7 @@ pub const OUTSIDE: u32 = 8;
 pub fn accumulate(
     a: &[u32],
     b: &[u32],
-    width: usize,
-    height: usize,
+    [width, height]: [usize; 2],
     radius: usize,
     path: usize,
     [small, large]: [u32; 2],
@@ -129,7 +128,7 @@ pub fn coarse<T: Real>(
     let (a, b) = (census(a, width, height), census(b, width, height));
     let mut volume = vec![0; width * height * (2 * radius + 1).pow(2)];
     for path in 0..PATHS.len() {
-        accumulate(&a, &b, width, height, radius, path, penalties, &mut volume);
+        accumulate(&a, &b, [width, height], radius, path, penalties, &mut volume);
     }
     cheapest(&volume, radius)
 }

@@ -3,7 +3,7 @@
 use super::{Population, rows};
 use crate::Result;
 use crate::gpu::{Device, Recorder, Stream};
-use crate::ops::density::{self, Relocation, RelocationArgs};
+use crate::ops::density::{self, JitterArgs, Relocation, RelocationArgs};
 use crate::ops::gaussians::GaussianBuffers;
 use crate::train::settings::{McmcSettings, TrainSettings};
 use crate::types::MotionClass;
@@ -60,13 +60,15 @@ impl Mcmc {
         let n = gaussians.len;
         density::jitter(
             recorder,
-            gaussians.positions.range_mut(0..3 * n),
-            gaussians.log_scales.range(0..3 * n),
-            gaussians.rotations.range(0..n),
-            gaussians.opacity_logits.range(0..n),
-            (rate * self.settings.noise) as f32,
-            self.seed,
-            step,
+            JitterArgs {
+                positions: gaussians.positions.range_mut(0..3 * n),
+                log_scales: gaussians.log_scales.range(0..3 * n),
+                rotations: gaussians.rotations.range(0..n),
+                opacity_logits: gaussians.opacity_logits.range(0..n),
+                size: (rate * self.settings.noise) as f32,
+                seed: self.seed,
+                step,
+            },
         )
     }
 
