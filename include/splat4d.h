@@ -870,14 +870,14 @@ splat4d_result splat4d_trainer_get_pixels(struct splat4d_trainer *trainer,
 // Records the computation of the gradients with respect to every parameter and the camera's pose,
 // given those of the host's loss with respect to the image: `by_rgba`, with respect to
 // premultiplied colour and alpha, 16 bytes per pixel; `by_depth`, 4 bytes per pixel, null if the
-// loss does not use the depth.
+// loss does not use the depth. Where buffers are too short, the step has ended without an update.
 splat4d_result splat4d_trainer_backward(struct splat4d_trainer *trainer,
                                         struct splat4d_recorder *recorder,
                                         const struct splat4d_buffer *by_rgba,
                                         const struct splat4d_buffer *by_depth);
 
-// Records the update of every parameter with these gradients. A frame that exceeded the capacity
-// changes nothing.
+// Records the update of every parameter with these gradients; the gradients of density control's
+// regularisers are added to them. A frame that exceeded the capacity changes nothing.
 splat4d_result splat4d_trainer_update(struct splat4d_trainer *trainer,
                                       struct splat4d_recorder *recorder);
 
