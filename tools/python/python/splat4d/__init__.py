@@ -6,6 +6,7 @@ natural logarithms, opacity and motion as logits. Colours are the image's own en
 [0, 1]. Times are in [0, 1].
 """
 
+from ._page import Page
 from ._program import command, evaluate, reconstruct, synth, track, train
 from ._rasterization import rasterization
 from ._splat4d import (
@@ -26,6 +27,7 @@ __all__ = [
     "Device",
     "DeviceInfo",
     "Error",
+    "Page",
     "Progress",
     "Rendered",
     "Renderer",
