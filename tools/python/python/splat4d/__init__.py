@@ -6,6 +6,7 @@ natural logarithms, opacity and motion as logits. Colours are the image's own en
 [0, 1]. Times are in [0, 1].
 """
 
+from . import ops
 from ._page import Page
 from ._program import command, evaluate, reconstruct, synth, track, train
 from ._rasterization import rasterization
@@ -36,6 +37,7 @@ __all__ = [
     "View",
     "command",
     "evaluate",
+    "ops",
     "rasterization",
     "reconstruct",
     "synth",

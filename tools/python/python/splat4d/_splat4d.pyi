@@ -194,3 +194,57 @@ class Trainer:
         self, grad_rgba: ArrayLike, grad_depth: ArrayLike | None = None
     ) -> dict[str, NDArray[np.float32]]: ...
     def update(self) -> None: ...
+
+def loss(
+    device: Device,
+    rgba: ArrayLike,
+    image: ArrayLike,
+    *,
+    weights: ArrayLike | None = None,
+    background: Sequence[float] = (0.0, 0.0, 0.0),
+    ssim_share: float = 0.2,
+) -> tuple[float, NDArray[np.float32]]: ...
+def deform(
+    device: Device,
+    positions: ArrayLike,
+    rotations: ArrayLike,
+    opacity_logits: ArrayLike,
+    control_positions: ArrayLike,
+    control_log_radii: ArrayLike,
+    motions: ArrayLike,
+    *,
+    neighbours: int = 4,
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]: ...
+def deform_backward(
+    device: Device,
+    grad_positions: ArrayLike,
+    grad_rotations: ArrayLike,
+    positions: ArrayLike,
+    rotations: ArrayLike,
+    opacity_logits: ArrayLike,
+    control_positions: ArrayLike,
+    control_log_radii: ArrayLike,
+    motions: ArrayLike,
+    *,
+    neighbours: int = 4,
+) -> dict[str, NDArray[np.float32]]: ...
+def adam(
+    device: Device,
+    parameters: ArrayLike,
+    gradients: ArrayLike,
+    first: ArrayLike,
+    second: ArrayLike,
+    *,
+    step: int,
+    rate: float = 1e-3,
+    beta1: float = 0.9,
+    beta2: float = 0.999,
+    epsilon: float = 1e-15,
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]: ...
+def sort(
+    device: Device,
+    keys: ArrayLike,
+    payload: ArrayLike | None = None,
+    *,
+    bits: tuple[int, int] = (0, 32),
+) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]: ...
