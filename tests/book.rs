@@ -189,9 +189,12 @@ fn options_are_those_of_the_program() {
     assert!(checked > 30 && help.len() > 9, "{checked} options of {} commands", help.len());
 }
 
+/// Options with their values.
+type Options = &'static [[&'static str; 2]];
+
 /// Options that make a command cheap: those that are added where they are not given, and those that replace only what
 /// is given. `None` for commands that take minutes or do not end.
-fn cheap(words: &[String]) -> Option<(&'static [[&'static str; 2]], &'static [[&'static str; 2]])> {
+fn cheap(words: &[String]) -> Option<(Options, Options)> {
     let given = |word: &str| words.iter().any(|other| other == word);
     Some(match &words[1][..] {
         "view" | "bench" => return None,
