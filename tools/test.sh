@@ -71,7 +71,7 @@ others=()
 for file in tests/*.rs; do
     name=$(basename "$file" .rs)
     case $name in
-    end_to_end | hard_cases | table | capi | cli | cli_* | track | synth | ablate | batch)
+    end_to_end | hard_cases | table | capi | cli | cli_* | track | synth | ablate | batch | book)
         end_to_end+=(--test "$name")
         ;;
     *) if is_kernel_test "$file"; then kernel_tests+=(--test "$name"); else others+=(--test "$name"); fi ;;

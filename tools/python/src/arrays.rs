@@ -18,16 +18,25 @@ pub enum Side {
 
 use Side::{Any, Exactly};
 
-/// `value` as a C-contiguous array of `T` with the expected shape. Accepts what `numpy.asarray` accepts, such
-/// as lists and tensors in host memory; other number types are converted.
+/// `value` as a NumPy array: `python/splat4d/_arrays.py` says of what.
+fn numpy<'py>(value: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
+    value.py().import("splat4d._arrays")?.call_method1("as_numpy", (value,))
+}
+
+/// The shape of what is or becomes an array.
+pub fn shape(value: &Bound<'_, PyAny>) -> PyResult<Vec<usize>> {
+    numpy(value)?.getattr("shape")?.extract()
+}
+
+/// `value` as a C-contiguous array of `T` with the expected shape. Accepts what `numpy` accepts; other number types
+/// are converted.
 pub fn of<'py, T: Element>(
     name: &str,
     value: &Bound<'py, PyAny>,
     expected: &[Side],
 ) -> PyResult<Bound<'py, PyArrayDyn<T>>> {
     let py = value.py();
-    let numpy = py.import("numpy")?;
-    let array = numpy.call_method1("asarray", (value,))?;
+    let array = numpy(value)?;
     let shape: Vec<usize> = array.getattr("shape")?.extract()?;
     let fits = |(side, given): (&Side, &usize)| match side {
         Any(_) => true,
@@ -38,7 +47,7 @@ pub fn of<'py, T: Element>(
         let what = format!("{name}: expected an array of shape {expected}, got {given}");
         return Err(PyValueError::new_err(what));
     }
-    let array = numpy.call_method1("ascontiguousarray", (array, T::get_dtype(py)))?;
+    let array = py.import("numpy")?.call_method1("ascontiguousarray", (array, T::get_dtype(py)))?;
     Ok(array.cast_into::<PyArrayDyn<T>>()?)
 }
 
@@ -83,6 +92,21 @@ pub fn rows<const WIDTH: usize>(
     Ok(in_rows(&floats(name, value, &[Any("N"), Exactly(WIDTH)])?.0))
 }
 
+/// The integers of an array of shape (N,), which must be in [0, 2³²).
+pub fn words(name: &str, value: &Bound<'_, PyAny>, side: Side) -> PyResult<Vec<u32>> {
+    let array = numpy(value)?;
+    let kind: String = array.getattr("dtype")?.getattr("kind")?.extract()?;
+    if !matches!(&kind[..], "i" | "u") {
+        let given = array.getattr("dtype")?.str()?;
+        return Err(PyValueError::new_err(format!("{name}: expected integers, got {given}")));
+    }
+    let word = |number: i64| {
+        u32::try_from(number)
+            .map_err(|_| PyValueError::new_err(format!("{name}: {number} is not in [0, 2³²)")))
+    };
+    of::<i64>(name, &array, &[side])?.to_vec()?.into_iter().map(word).collect()
+}
+
 /// Splits values into rows of `WIDTH`.
 pub fn in_rows<const WIDTH: usize>(numbers: &[f32]) -> Vec<[f32; WIDTH]> {
     numbers.as_chunks().0.to_vec()
@@ -99,7 +123,7 @@ pub fn picture(
     if channels > 1 {
         sides.push(Exactly(channels as usize));
     }
-    let array = value.py().import("numpy")?.call_method1("asarray", (value,))?;
+    let array = numpy(value)?;
     let pixels = match array.cast::<PyArrayDyn<u8>>().is_ok() {
         true => {
             let bytes = of::<u8>(name, &array, &sides)?.to_vec()?;

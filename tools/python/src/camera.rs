@@ -1,12 +1,14 @@
 //! Pinhole cameras.
 
 use crate::arrays::{self, Side::Exactly};
-use crate::error::out_of_range;
+use crate::error::{out_of_range, raised};
 use glam::{DMat3, DQuat, DVec3};
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
+use splat4d::data::transforms::read_cameras;
 use splat4d::types::{self, Intrinsics, Pose, range};
+use std::path::PathBuf;
 
 /// A pinhole camera in the world.
 ///
@@ -64,6 +66,22 @@ impl Camera {
         let camera = types::Camera { intrinsics, view_from_world: pose };
         camera.check().map_err(|what| out_of_range(format!("camera: {what}")))?;
         Ok(Camera { camera })
+    }
+
+    /// Reads the cameras of a nerfstudio `transforms.json`, as the command `render --path FILE` does: each needs its
+    /// size (`w`, `h`), and lens distortion is left out. Returns the cameras, and their times in [0, 1], float64 of
+    /// shape (C,); times that the file does not have run from 0 to 1.
+    ///
+    /// Raises `splat4d.Error` for a missing or malformed file; the message names the file.
+    #[staticmethod]
+    fn read<'py>(
+        py: Python<'py>,
+        path: PathBuf,
+    ) -> PyResult<(Vec<Camera>, Bound<'py, PyArray1<f64>>)> {
+        let found = py.detach(|| read_cameras(&path)).map_err(raised)?;
+        let times = arrays::line(py, found.iter().map(|timed| timed.time).collect());
+        let cameras = found.into_iter().map(|timed| Camera { camera: timed.camera });
+        Ok((cameras.collect(), times))
     }
 
     /// Image width, pixels.

@@ -8,6 +8,7 @@ mod arrays;
 mod camera;
 mod device;
 mod error;
+mod ops;
 mod renderer;
 mod scene;
 mod settings;
@@ -24,6 +25,8 @@ mod _splat4d {
     use crate::device::{Device, DeviceInfo};
     #[pymodule_export]
     use crate::error::Error;
+    #[pymodule_export]
+    use crate::ops::{adam, deform, deform_backward, loss, sort};
     #[pymodule_export]
     use crate::renderer::{Rendered, Renderer};
     #[pymodule_export]

@@ -92,6 +92,17 @@ impl Scene {
         py.detach(|| format.write(path, &scene.gaussians)).map_err(raised)
     }
 
+    /// The interactive page of the scene, as the command `export SCENE -o FILE.html` writes it. As the last
+    /// expression of a notebook's cell it is shown there, `height` CSS pixels high. The page begins at the first
+    /// input camera. `device` is a selector as in `Device`; it renders the comparison with the compact scene
+    /// that the page holds, and finds the paths of a scene that a network moves.
+    ///
+    /// Raises `splat4d.Error` as the command does, for example for more Gaussians than a page plays.
+    #[pyo3(signature = (*, height = 480, device = "best"))]
+    fn show<'py>(slf: &Bound<'py, Self>, height: u32, device: &str) -> PyResult<Bound<'py, PyAny>> {
+        slf.py().import("splat4d._page")?.call_method1("show", (slf, height, device))
+    }
+
     /// All arrays by name, as copies.
     fn arrays<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let (g, points) = (&self.scene.gaussians, &self.scene.control_points);
@@ -241,6 +252,11 @@ impl Scene {
         scene.set_up_from_cameras();
         self.scene = Arc::new(scene);
         Ok(())
+    }
+
+    /// What a notebook shows of a scene: the page of `show()`.
+    fn _repr_html_<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
+        slf.call_method0("show")?.call_method0("_repr_html_")
     }
 
     fn __repr__(&self) -> String {

@@ -13,7 +13,6 @@ from pathlib import Path
 import pytest
 
 import splat4d
-from splat4d import _splat4d
 
 HERE = Path(__file__).parent
 
@@ -23,28 +22,38 @@ def stub(module):
 
 
 def test_the_types_name_what_there_is():
+    modules = ("_splat4d", "_page", "_program", "_rasterization")
+    nodes = [node for module in modules for node in stub(module)]
     classes = {
-        node.name: {item.name for item in node.body if isinstance(item, ast.FunctionDef)}
-        for node in stub("_splat4d")
+        node.name: {
+            item.target.id if isinstance(item, ast.AnnAssign) else item.name
+            for item in node.body
+            if isinstance(item, (ast.FunctionDef, ast.AnnAssign))
+        }
+        for node in nodes
         if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
     }
-    modules = [*stub("_program"), *stub("_rasterization")]
-    functions = {node.name: node for node in modules if isinstance(node, ast.FunctionDef)}
+    functions = {node.name: node for node in nodes if isinstance(node, ast.FunctionDef)}
     public = {name for name in functions if name in splat4d.__all__}
-    assert public | set(classes) == set(splat4d.__all__)
+    assert {*public, *classes, "ops"} == set(splat4d.__all__)
     for name, typed in classes.items():
-        found = {m for m in vars(getattr(_splat4d, name)) if not m.startswith("_")}
+        of = getattr(splat4d, name)
+        # Fields of a data class without defaults are annotations.
+        there = {*vars(of), *getattr(of, "__annotations__", ())}
+        found = {m for m in there if not m.startswith("_")}
         assert {m for m in typed if not m.startswith("_")} == found, name
-    for name in public:
+    for name in sorted(public) + splat4d.ops.__all__:
         of = functions[name].args
         typed = [a.arg for a in of.args + ([of.vararg] if of.vararg else []) + of.kwonlyargs]
-        assert [*typed, of.kwarg.arg] == list(inspect.signature(getattr(splat4d, name)).parameters)
+        typed += [of.kwarg.arg] if of.kwarg else []
+        function = getattr(splat4d if name in public else splat4d.ops, name)
+        assert typed == list(inspect.signature(function).parameters), name
     assert Path(splat4d.__file__).with_name("py.typed").is_file()
 
 
 def test_everything_has_a_docstring():
-    for name in splat4d.__all__:
-        value = getattr(splat4d, name)
+    for module, name in [(m, name) for m in (splat4d, splat4d.ops) for name in m.__all__]:
+        value = getattr(module, name)
         assert inspect.getdoc(value), name
         for member, of in vars(value).items() if inspect.isclass(value) else ():
             if not member.startswith("_"):

@@ -6,6 +6,8 @@ natural logarithms, opacity and motion as logits. Colours are the image's own en
 [0, 1]. Times are in [0, 1].
 """
 
+from . import ops
+from ._page import Page
 from ._program import command, evaluate, reconstruct, synth, track, train
 from ._rasterization import rasterization
 from ._splat4d import (
@@ -26,6 +28,7 @@ __all__ = [
     "Device",
     "DeviceInfo",
     "Error",
+    "Page",
     "Progress",
     "Rendered",
     "Renderer",
@@ -34,6 +37,7 @@ __all__ = [
     "View",
     "command",
     "evaluate",
+    "ops",
     "rasterization",
     "reconstruct",
     "synth",

@@ -4,6 +4,7 @@ import functools
 
 import numpy as np
 
+from ._arrays import as_numpy
 from ._splat4d import Camera, Device, Scene, Trainer
 
 SH_C0 = 0.28209479177387814
@@ -42,7 +43,7 @@ def best_device():
 def array(name, value, shape, dtype=np.float32):
     """A copy of the value as an array. A side of `shape` that is not a number is a name for messages and not
     checked."""
-    value = np.array(value, dtype)
+    value = np.array(as_numpy(value), dtype)
     fits = value.ndim == len(shape) and all(
         side == wanted for side, wanted in zip(value.shape, shape) if isinstance(wanted, int)
     )
@@ -97,7 +98,7 @@ def harmonics(colors, sh_degree, n, c):
     if sh_degree is not None and sh_degree not in range(4):
         raise ValueError(f"sh_degree: expected None or 0 to 3, got {sh_degree}")
     shape = (n, 3) if sh_degree is None else (n, "K", 3)
-    colors = np.asarray(colors, np.float32)
+    colors = np.asarray(as_numpy(colors), np.float32)
     per_camera = colors.ndim > len(shape)
     colors = array("colors", colors, (c, *shape) if per_camera else shape)
     if sh_degree is None:

@@ -8,6 +8,8 @@ from typing import Any, TypedDict
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ._page import Page
+
 class Error(Exception): ...
 
 class DeviceInfo:
@@ -47,6 +49,8 @@ class Camera:
         rotation: ArrayLike | None = None,
         translation: ArrayLike | None = None,
     ) -> Camera: ...
+    @staticmethod
+    def read(path: str | PathLike[str]) -> tuple[list[Camera], NDArray[np.float64]]: ...
     @property
     def width(self) -> int: ...
     @property
@@ -77,6 +81,8 @@ class Scene:
     def open(path: str | PathLike[str], *, drop_bad: bool = False) -> Scene: ...
     def save(self, path: str | PathLike[str]) -> None: ...
     def export(self, path: str | PathLike[str]) -> int: ...
+    def show(self, *, height: int = 480, device: str = "best") -> Page: ...
+    def _repr_html_(self) -> str: ...
     def arrays(self) -> dict[str, NDArray[np.float32]]: ...
     def set_arrays(self, **arrays: ArrayLike) -> None: ...
     def set_cameras(self, cameras: Sequence[Camera], times: ArrayLike) -> None: ...
@@ -188,3 +194,57 @@ class Trainer:
         self, grad_rgba: ArrayLike, grad_depth: ArrayLike | None = None
     ) -> dict[str, NDArray[np.float32]]: ...
     def update(self) -> None: ...
+
+def loss(
+    device: Device,
+    rgba: ArrayLike,
+    image: ArrayLike,
+    *,
+    weights: ArrayLike | None = None,
+    background: Sequence[float] = (0.0, 0.0, 0.0),
+    ssim_share: float = 0.2,
+) -> tuple[float, NDArray[np.float32]]: ...
+def deform(
+    device: Device,
+    positions: ArrayLike,
+    rotations: ArrayLike,
+    opacity_logits: ArrayLike,
+    control_positions: ArrayLike,
+    control_log_radii: ArrayLike,
+    motions: ArrayLike,
+    *,
+    neighbours: int = 4,
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]: ...
+def deform_backward(
+    device: Device,
+    grad_positions: ArrayLike,
+    grad_rotations: ArrayLike,
+    positions: ArrayLike,
+    rotations: ArrayLike,
+    opacity_logits: ArrayLike,
+    control_positions: ArrayLike,
+    control_log_radii: ArrayLike,
+    motions: ArrayLike,
+    *,
+    neighbours: int = 4,
+) -> dict[str, NDArray[np.float32]]: ...
+def adam(
+    device: Device,
+    parameters: ArrayLike,
+    gradients: ArrayLike,
+    first: ArrayLike,
+    second: ArrayLike,
+    *,
+    step: int,
+    rate: float = 1e-3,
+    beta1: float = 0.9,
+    beta2: float = 0.999,
+    epsilon: float = 1e-15,
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]: ...
+def sort(
+    device: Device,
+    keys: ArrayLike,
+    payload: ArrayLike | None = None,
+    *,
+    bits: tuple[int, int] = (0, 32),
+) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]: ...
