@@ -6,12 +6,13 @@
 
 use std::ops::Range;
 
-use glam::{DQuat, DVec2, DVec3};
+use glam::{DVec2, DVec3};
 
 use super::cameras::{self, Cameras, Focal, Strictness};
 use super::objects::Object;
 use super::observer::{Progress, Work};
 use super::{FocalSource, Stage, quantile};
+use crate::geometry::se3::{exp_so3, log_so3};
 use crate::geometry::sim3::{Sim3, align_points};
 use crate::observe::PointTrack;
 use crate::types::Pose;
@@ -195,7 +196,7 @@ impl Piece {
         let inner = if own < others { own - steps } else { own + steps };
         let turn = world_from_self * in_world(inner, self.at(inner).1).conjugate();
         let gap = own.abs_diff(others) as f64 / steps as f64;
-        let turned = DQuat::from_scaled_axis(turn.to_scaled_axis() * gap) * world_from_self;
+        let turned = exp_so3(gap * log_so3(turn)) * world_from_self;
         let rotation = turned.conjugate() * in_world(others, other_view);
         let scale = own_depth * (sizes[others] - sizes[own]).exp() / other_depth;
         Sim3 { scale, rotation, translation: middle - scale * (rotation * other.middle) }
@@ -561,6 +562,8 @@ fn upright(object: &Object) -> Shape {
 
 #[cfg(test)]
 mod tests {
+    use glam::DQuat;
+
     use super::*;
     use crate::types::Intrinsics;
 

@@ -10,7 +10,7 @@ use pyo3::types::PyDict;
 use splat4d::gpu::{self, Buffer, Stream};
 use splat4d::ops::adam::{Adam, AdamArgs};
 use splat4d::ops::deform::{Skin, SkinArgs, SkinGradients, Skinned};
-use splat4d::ops::loss::{Loss, LossSettings, Reference};
+use splat4d::ops::loss::{Loss, LossArgs, LossSettings, Reference};
 use splat4d::ops::render::Render;
 use splat4d::ops::sort::{RadixSort, SortArgs};
 use splat4d::types::{AdamSettings, Image, RenderSettings, range};
@@ -77,15 +77,13 @@ fn compared(
     let mut stream = device.stream()?;
     stream.upload(&mut rendered.rgba, rgba)?;
     let mut recorder = stream.record()?;
-    loss.record(
-        &mut recorder,
-        settings,
-        &rendered,
-        &reference,
-        None,
-        &mut gradients,
-        &mut scratch,
-    )?;
+    let args = LossArgs {
+        rendered: &rendered,
+        reference: &reference,
+        disparity: None,
+        gradients: &mut gradients,
+    };
+    loss.record(&mut recorder, settings, args, &mut scratch)?;
     stream.submit(recorder)?;
     let terms = loss.value(&mut stream, &reference, None, &scratch)?;
     // Weights are bytes on the device. Without any weight there is nothing to compare.
