@@ -12,7 +12,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use program::{program, run, stderr};
+use program::{copy, program, run, stderr};
 
 /// Programs in the book's shell blocks that are not run here.
 const OTHERS: [&str; 5] = ["cargo", "docker", "out/venv/bin/pip", "pip", "python3"];
@@ -232,19 +232,6 @@ fn succeeds(folder: &Path, arguments: &[String]) {
     let output =
         program().current_dir(folder).args(arguments).args(["--device", &device]).output().unwrap();
     assert!(output.status.success(), "{arguments:?}: {}", stderr(&output));
-}
-
-/// Copies the files of a folder, and of the folders in it.
-fn copy(from: &Path, to: &Path) {
-    fs::create_dir_all(to).unwrap();
-    for entry in fs::read_dir(from).unwrap() {
-        let path = entry.unwrap().path();
-        let to = to.join(path.file_name().unwrap());
-        match path.is_dir() {
-            true => copy(&path, &to),
-            false => assert!(fs::copy(&path, &to).is_ok()),
-        }
-    }
 }
 
 #[test]

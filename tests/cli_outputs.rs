@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::sync::LazyLock;
 
-use program::{blobs, cameras, content, dataset, fails, json, program, run, stderr};
+use program::{blobs, cameras, content, copy, dataset, fails, json, program, run, stderr};
 use serde_json::Value;
 use splat4d::data::transforms;
 use splat4d::scene::{Scene, ply};
@@ -42,19 +42,6 @@ static CLIP: LazyLock<TempDir> = LazyLock::new(|| {
     json(folder.path(), "synth still -o clip --frames 6 --size 112x63");
     folder
 });
-
-/// Copies a folder.
-fn copy(from: &Path, to: &Path) {
-    fs::create_dir_all(to).unwrap();
-    for entry in fs::read_dir(from).unwrap() {
-        let path = entry.unwrap().path();
-        let to = to.join(path.file_name().unwrap());
-        match path.is_dir() {
-            true => copy(&path, &to),
-            false => assert!(fs::copy(&path, &to).is_ok()),
-        }
-    }
-}
 
 #[test]
 fn a_dataset_is_not_written_over() {

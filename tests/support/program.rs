@@ -103,6 +103,19 @@ pub fn cameras(count: usize) -> Vec<TimedCamera> {
         .collect()
 }
 
+/// Copies the files of a folder, and of the folders in it.
+pub fn copy(from: &Path, to: &Path) {
+    fs::create_dir_all(to).unwrap();
+    for entry in fs::read_dir(from).unwrap() {
+        let path = entry.unwrap().path();
+        let to = to.join(path.file_name().unwrap());
+        match path.is_dir() {
+            true => copy(&path, &to),
+            false => assert!(fs::copy(&path, &to).is_ok()),
+        }
+    }
+}
+
 /// Writes a dataset into a folder: `pictures` images and their cameras.
 pub fn dataset(folder: &Path, pictures: usize) {
     let names: Vec<String> = (0..pictures).map(|i| format!("{i}.png")).collect();
