@@ -117,6 +117,8 @@ pub struct Options {
     pub distortion: bool,
     /// Whether the inverse depths are adjusted.
     pub depths: bool,
+    /// Whether the rotations of the poses are adjusted; otherwise only their translations are.
+    pub rotations: bool,
     /// Robust kernel.
     pub kernel: Kernel,
     /// Kernel width in units of the scale (1.4826 · median absolute residual coordinate, each divided by
@@ -137,6 +139,7 @@ impl Default for Options {
             focal_prior: None,
             distortion: false,
             depths: true,
+            rotations: true,
             kernel: Kernel::GemanMcClure,
             kernel_width: 3.0,
             scale_floor: 0.5,

@@ -6,7 +6,7 @@
 //! on them, get one depth per region and frame, smoothed along the flow: the depth of the ground where the
 //! region's lower end meets it, and nearer than what the region hides.
 
-use glam::DVec2;
+use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -22,7 +22,7 @@ use super::residual::Seen;
 use super::{Mover, Options, Stage};
 use crate::Result;
 use crate::observe::NeighbourFlow;
-use crate::types::Image;
+use crate::types::{Image, Pose};
 
 /// Maximum depth, in units of the median depth.
 const FARTHEST: f32 = 40.0;
@@ -103,8 +103,17 @@ pub(super) fn dense(
                 .unzip()
         })
         .collect();
-    let behind: Vec<Behind<'_>> =
-        ground.iter().map(|(inverse, confidence)| Behind { inverse, confidence }).collect();
+    let in_image = |pose: &Pose| {
+        let k = &cameras.intrinsics;
+        let down = cameras.ground.and_then(|ground| ground.from(pose))?;
+        let (x, y) = (down.x / k.fx, down.y / k.fy);
+        Some(DVec3::new(x, y, down.z - x * k.cx - y * k.cy))
+    };
+    let behind: Vec<Behind<'_>> = ground
+        .iter()
+        .zip(&cameras.poses)
+        .map(|((inverse, confidence), pose)| Behind { inverse, confidence, ground: in_image(pose) })
+        .collect();
     let lifted = match options.lift {
         true => movers::lift(frames, cameras, flow, masks, &layers, &behind),
         false => Lifted::nothing(masks),

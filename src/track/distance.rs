@@ -16,7 +16,7 @@
 //! Without contact, the bound from occlusion takes its place. If the object is connected with another object,
 //! the depth of that object replaces the bound.
 
-use glam::{DMat3, DVec2};
+use glam::{DMat3, DVec2, DVec3};
 
 use super::cameras::Cameras;
 use super::contact::{contacts, touched};
@@ -28,7 +28,7 @@ use super::outline::{self, Outline, outline};
 use super::path::{Estimate, Pull, bent};
 use super::quantile;
 use super::shape::Shape;
-use super::smooth::{self, Place};
+use super::smooth::{self, Place, Unit};
 
 /// Initial width of the robust kernel of the outline residuals, as a logarithm of depth.
 const SIZED_FIRST: f64 = 1.6;
@@ -71,6 +71,9 @@ pub(super) struct Behind<'a> {
     pub inverse: &'a [f32],
     /// The confidence of the inverse depth; see [`super::Track::depth_confidence`].
     pub confidence: &'a [f32],
+    /// The ground of the whole clip, if it was found: its inverse depth at the pixel (x, y) is the dot product
+    /// with (x, y, 1).
+    pub ground: Option<DVec3>,
 }
 
 /// The estimated distance of an object.
@@ -201,17 +204,18 @@ pub(super) fn distance(
         Seen { depth: observed[k], middle: middles[k], known, radius, view_from_object }
     };
     let seen: Vec<Seen> = (0..observed.len()).map(seen).collect();
-    let (smooth, farther) = smoothness(&seen, cameras, object.first).unzip();
-    let path: Vec<f64> = match farther {
-        Some(farther) => observed.iter().zip(farther).map(|(path, by)| path + by).collect(),
-        None => observed.clone(),
-    };
     let lower_ends: Vec<Option<LowerEnd>> = owners
         .iter()
         .zip(behind)
         .map(|(owners, behind)| lower_end(index, owners, *behind, width))
         .collect();
     let contacts = contacts(object, shape, &lower_ends, &middles);
+    let touching = touched(&observed, &contacts, &lower_ends, &steps).map(|(_, touching)| touching);
+    let (smooth, farther) = smoothness(&seen, cameras, object.first, touching).unzip();
+    let path: Vec<f64> = match farther {
+        Some(farther) => observed.iter().zip(farther).map(|(path, by)| path + by).collect(),
+        None => observed.clone(),
+    };
     if let Some((bent, touching)) = touched(&path, &contacts, &lower_ends, &steps) {
         let both = smooth.map_or(touching, |smooth| touching.and(smooth));
         let scale = Estimate { value: both.value - touching.value, ..both };
@@ -310,14 +314,24 @@ struct Seen {
     view_from_object: DMat3,
 }
 
-/// The scale that makes a path smoothest, and the change of the logarithm of depth along it, frame by frame.
-fn smoothness(path: &[Seen], cameras: &Cameras, first: usize) -> Option<(Estimate, Vec<f64>)> {
+/// The scale that makes a path smoothest, and the change of the logarithm of depth along it, frame by frame,
+/// at the scale that follows from the path and from contact, if it is known from there.
+fn smoothness(
+    path: &[Seen],
+    cameras: &Cameras,
+    first: usize,
+    touching: Option<Estimate>,
+) -> Option<(Estimate, Vec<f64>)> {
+    let touching = touching.map(|Estimate { value, deviation }| {
+        let inverse = (-value).exp();
+        Unit { inverse, deviation: deviation * inverse }
+    });
     let known: Vec<Option<f64>> = path.iter().map(|seen| seen.known).collect();
     let begins = known.iter().position(Option::is_some)?;
     let ends = known.iter().rposition(Option::is_some)?;
     // An object that enters or leaves the image is seen only in part. If the direction of gravity is known,
     // its path is extrapolated through these frames.
-    let goes_on = |k: usize| cameras.up.is_some() && !(begins..=ends).contains(&k);
+    let goes_on = |k: usize| cameras.ground.is_some() && !(begins..=ends).contains(&k);
     let place = |(k, seen): (usize, &Seen)| {
         let world_from_view = cameras.poses[first + k].inverse();
         let depth = seen.depth.exp();
@@ -346,7 +360,9 @@ fn smoothness(path: &[Seen], cameras: &Cameras, first: usize) -> Option<(Estimat
     let mut farther = vec![0.0; places.len()];
     for run in frames.chunk_by(|a, b| a + 1 == *b) {
         let run = run[0]..run[0] + run.len();
-        let Some(found) = smooth::smoothest(&places[run.clone()], cameras.up) else { continue };
+        let Some(found) = smooth::smoothest(&places[run.clone()], cameras.up(), touching) else {
+            continue;
+        };
         let weight = found.unit.deviation.powi(-2);
         (sum, information) = (sum + weight * found.unit.inverse, information + weight);
         if let Some(by) = found.farther {
@@ -387,9 +403,10 @@ fn sized(path: Vec<f64>, sizes: &[Option<f64>], deviation: f64, steps: &[f64]) -
 
 #[cfg(test)]
 mod tests {
+    use super::super::stereo::Ground;
     use super::*;
     use crate::types::{Intrinsics, Pose};
-    use glam::{DQuat, DVec3};
+    use glam::DQuat;
 
     #[test]
     fn gaps_are_as_long_as_the_frames_that_are_not_known() {
@@ -427,12 +444,12 @@ mod tests {
             })
             .collect();
         let error = |cameras: &Cameras| -> f64 {
-            let (scale, farther) = smoothness(&seen, cameras, 0).unwrap();
+            let (scale, farther) = smoothness(&seen, cameras, 0, None).unwrap();
             let found = |t: usize| seen[t].depth + farther[t] + scale.value;
             (24..28).map(|t| (found(t) - depth(t).ln()).abs()).fold(0.0, f64::max)
         };
         let without = error(&cameras);
-        cameras.up = Some(DVec3::NEG_Y);
+        cameras.ground = Some(Ground::known(DVec3::NEG_Y, -2.0));
         let with = error(&cameras);
         assert!(with < 0.03 && without > 0.1, "{with} {without}");
     }

@@ -22,6 +22,9 @@ const UNMEASURED: f64 = 0.01;
 /// Relative difference in inverse depth between the ground and the pixels next to a contact above which those
 /// pixels hide the object's lower end.
 const HIDES: f64 = 0.2;
+/// Maximum difference of the logarithm of depth between the plane around a contact and the ground of the whole
+/// clip.
+const SAME_GROUND: f64 = 0.05;
 /// Minimum change of the ground's inverse depth over the height of the image, relative to its value at the
 /// contact.
 const SLOPE: f64 = 0.7;
@@ -95,8 +98,9 @@ pub(super) fn lower_end(
     let edge = lowest.clone();
     let notch = (NOTCH.0 * (bottom - top) as f64).max(NOTCH.1);
     lowest.retain(|at| at.1 as f64 + notch >= lower_hull(&edge, at.0));
-    let (x, y) = *lowest.get(lowest.len() / 2)?;
-    let at = DVec2::new(x as f64, y as f64 + 0.5 - OVERHANG);
+    let x = lowest.get(lowest.len() / 2)?.0;
+    let y = lower_hull(&edge, x);
+    let at = DVec2::new(x as f64, y + 0.5 - OVERHANG);
     let plane = plane(static_pixels(), behind, width, at)?;
     let (inverse, slope) = (plane.z, plane.y);
     // Something that hides the lower end is not at the depth of the ground.
@@ -106,9 +110,13 @@ pub(super) fn lower_end(
     if inverse <= 0.0 || !agrees {
         return None;
     }
-    let depth = 1.0 / inverse;
+    // Around a mover the ground is often hidden, or a shadow moves on it. The plane of the whole clip is more
+    // accurate than the one around the object, if both are the same ground.
+    let of_clip = behind.ground.map(|ground| ground.dot((at + 0.5).extend(1.0)));
+    let same = |of_clip: &f64| *of_clip > 0.0 && (of_clip / inverse).ln().abs() < SAME_GROUND;
+    let depth = 1.0 / of_clip.filter(same).unwrap_or(inverse);
     Some(if is_ground(&plane) {
-        let pixel = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
+        let pixel = DVec2::new(x as f64 + 0.5, y + 0.5);
         let half_width = 0.5 * (ends.1 - ends.0 + 1) as f64;
         LowerEnd::Touches(Contact { depth, pixel, half_width })
     } else {
@@ -198,7 +206,8 @@ mod tests {
             (0..w * h).map(|i| on(i).then_some(0)).collect()
         };
         let (inverse, confidence) = ground(|_| false);
-        let behind = Behind { inverse: &inverse.pixels, confidence: &confidence.pixels };
+        let behind =
+            Behind { inverse: &inverse.pixels, confidence: &confidence.pixels, ground: None };
         let touches = |owners: &[Option<u16>]| match lower_end(0, owners, behind, w) {
             Some(LowerEnd::Touches(contact)) => contact,
             _ => panic!("it touches nothing"),
@@ -224,13 +233,32 @@ mod tests {
         let contact = touches(&feet);
         assert!((contact.depth / depth - 1.0).abs() < 1e-6 && contact.pixel.y == 29.5);
         assert!(!(22.0..28.0).contains(&contact.pixel.x), "{}", contact.pixel.x);
+        // A car's sill is two pixels above its wheels; the car stands on the line between these.
+        let mut car = object(30.0);
+        for i in (0..w * h).filter(|i| within(centre(*i), (21.0, 28.0), (29.0, 30.0))) {
+            car[i] = None;
+        }
+        let contact = touches(&car);
+        assert!((contact.depth / depth - 1.0).abs() < 1e-6 && contact.pixel.y == 29.5);
+        assert!((21.0..29.0).contains(&contact.pixel.x), "{}", contact.pixel.x);
+        // The ground of the whole clip is used if it is nearly the same.
+        for (factor, used) in [(1.04, 1.04), (0.97, 0.97), (1.2, 1.0)] {
+            let plane = DVec3::new(0.0, 0.02, 0.1) * factor;
+            let Some(LowerEnd::Touches(contact)) =
+                lower_end(0, &object(30.0), Behind { ground: Some(plane), ..behind }, w)
+            else {
+                panic!("it touches nothing")
+            };
+            assert!((depth / contact.depth / used - 1.0).abs() < 0.01, "{factor}");
+        }
         // A box stands in front of the object's lower end.
         let (inverse, confidence) = ground(|p| within(p, (16.0, 29.0), (36.0, 40.0)));
-        let behind = Behind { inverse: &inverse.pixels, confidence: &confidence.pixels };
+        let behind =
+            Behind { inverse: &inverse.pixels, confidence: &confidence.pixels, ground: None };
         assert!(unknown(0, &object(30.0), behind), "it is hidden");
         // A wall is not ground.
         let wall = map(|_| 0.5);
-        let behind = Behind { inverse: &wall.pixels, confidence: &confidence.pixels };
+        let behind = Behind { inverse: &wall.pixels, confidence: &confidence.pixels, ground: None };
         let Some(LowerEnd::Wall(depth)) = lower_end(0, &object(30.0), behind, w) else {
             panic!("it is before a wall")
         };

@@ -392,17 +392,17 @@ pub fn track_observed(
         let judged = masks::Judged::new(observed, Some(&plates), &mut work, part, 0.2..0.25)?;
         masks = judged.segment(drawn.as_deref(), &mut work, part, 0.25..0.3)?;
     }
-    let mut up = None;
+    let mut ground = None;
     if cameras.have_parallax() && options.stereo && options.depth.is_none() {
         let shares = 0.3..0.7;
         let measured =
             stereo::measure(frames, &cameras, &masks, &seen, &mut work, "depth", shares)?;
-        (seen, up) = (measured.seen, measured.up);
+        (seen, ground) = (measured.seen, measured.ground);
     }
     let static_world = layers(&seen, &masks, None, &mut work, "depth/layers", 0.7..0.75)?;
     let plates = plates(&static_world, &masks, &mut work, "depth/plates", 0.75..0.85)?;
     let layers = layers(&seen, &masks, Some(&plates), &mut work, "depth", 0.85..0.9)?;
-    cameras.up = up;
+    cameras.ground = ground;
     let depth::Dense { depth, confidence: depth_confidence, movers, owners } =
         depth::dense(frames, &cameras, flow, &masks, layers, &plates, options, &mut work)?;
     work.progress(Stage::Depth, 0.96)?;

@@ -430,7 +430,8 @@ mod tests {
         let masks: Vec<Image> = (0..FRAMES).map(mask).collect();
         let (inverse, confidence) =
             (map(|_| (1.0 / WALL) as f32).pixels, vec![1.0; masks[0].pixels.len()]);
-        let behind = vec![Behind { inverse: &inverse, confidence: &confidence }; FRAMES];
+        let behind =
+            vec![Behind { inverse: &inverse, confidence: &confidence, ground: None }; FRAMES];
         let layers = layers(&inverse, |_, _| None);
         let lifted = lift(&frames, &sliding::cameras(STEP), &flow, &masks, &layers, &behind);
         assert_eq!(lifted.movers.len(), 2);
@@ -468,7 +469,8 @@ mod tests {
         let masks: Vec<Image> = (0..FRAMES).map(mask).collect();
         let inverse = map(|p| if p.x < 32.0 { 0.25 } else { 0.1 }).pixels;
         let confidence = vec![1.0; inverse.len()];
-        let behind = vec![Behind { inverse: &inverse, confidence: &confidence }; FRAMES];
+        let behind =
+            vec![Behind { inverse: &inverse, confidence: &confidence, ground: None }; FRAMES];
         let (cameras, layers) = (sliding::cameras(STEP), layers(&inverse, |_, _| None));
         let lifted = lift(&sliding::frames(), &cameras, &flow, &masks, &layers, &behind);
         assert_eq!(lifted.movers.len(), 2);
@@ -513,7 +515,8 @@ mod tests {
         let masks: Vec<Image> = (0..FRAMES).map(mask).collect();
         let (inverse, confidence) =
             (map(|_| (1.0 / WALL) as f32).pixels, vec![1.0; masks[0].pixels.len()]);
-        let behind = vec![Behind { inverse: &inverse, confidence: &confidence }; FRAMES];
+        let behind =
+            vec![Behind { inverse: &inverse, confidence: &confidence, ground: None }; FRAMES];
         let depth = 0.37 * WALL;
         let off = |f: usize| 1.0 + 0.04 * [1.0, -1.0][f % 2];
         let lifted = |supplied: &dyn Fn(usize, DVec2) -> Option<f64>| {

@@ -1,12 +1,13 @@
 //! The shape and the path of an object, up to one scale.
 //!
 //! If an object moves rigidly, its points are like a static world relative to the camera, and structure from
-//! motion solves for both. Otherwise the object is modelled as a flat upright object facing the camera, and
+//! motion solves for both. An object that does not rotate, such as a car on a straight road, has a solution
+//! without the ambiguities of one that does, and it is preferred if it explains the tracks as well. Otherwise the object is modelled as a flat upright object facing the camera, and
 //! the change of its size in the image gives the change of its distance.
 
 use std::ops::Range;
 
-use glam::{DVec2, DVec3};
+use glam::{DQuat, DVec2, DVec3};
 
 use super::cameras::{self, Cameras, Focal, Strictness};
 use super::objects::Object;
@@ -28,6 +29,11 @@ const MOST_BEYOND: f64 = 0.7;
 /// Minimum numbers of frames and tracks of a structure from motion.
 const LEAST_RUN: usize = 5;
 const LEAST_TRACKS: usize = 30;
+/// Minimum number of tracks in each frame of the structure from motion of an object that does not rotate.
+const LEAST_SEEN: usize = 12;
+/// Maximum reprojection error with the rotation kept, relative to that with the rotation free, of an object
+/// that does not rotate.
+const WORSE: f64 = 1.1;
 /// Maximum difference between a step of the depth and the step that the change of size gives, as a logarithm.
 const JUMP: f64 = 0.12;
 /// Number of frames whose rotation is extrapolated from one structure to the next.
@@ -255,11 +261,14 @@ fn shared(own: &[Option<DVec3>], other: &[Option<DVec3>]) -> Option<Sim3> {
 fn pieces(object: &Object, sizes: &[f64], cameras: &Cameras) -> Vec<Piece> {
     let mut tracks = object.tracks.clone();
     tracks.iter_mut().flat_map(|t| &mut t.frames).for_each(|frame| *frame -= object.first);
+    let poses = &cameras.poses[object.first..object.end];
+    let clip =
+        Clip { tracks, sizes, cameras, rotations: poses.iter().map(|p| p.rotation).collect() };
     let mut open = Vec::new();
     open.push(0..object.end - object.first);
     let mut found = Vec::new();
     while let Some(within) = open.pop() {
-        if let Some(piece) = piece(&tracks, within.clone(), sizes, cameras) {
+        if let Some(piece) = clip.piece(within.clone()) {
             open.extend([within.start..piece.run.start, piece.run.end..within.end]);
             found.push(piece);
         }
@@ -268,82 +277,126 @@ fn pieces(object: &Object, sizes: &[f64], cameras: &Cameras) -> Vec<Piece> {
     found
 }
 
-/// The longest structure from motion of an object's tracks within a run of frames.
-fn piece(
-    tracks: &[PointTrack],
-    within: Range<usize>,
-    sizes: &[f64],
-    cameras: &Cameras,
-) -> Option<Piece> {
-    let focal = Focal {
-        intrinsics: cameras.intrinsics,
-        source: FocalSource::Given,
-        deviation: 0.0,
-        held: true,
-        prior: None,
-    };
-    let mut nothing = |_: Stage, _: f64| Ok(());
-    let mut progress = Progress(&mut nothing);
-    let mut work = Work::new(&mut progress);
-    // The parts of the tracks within a run, and the tracks' indices.
-    let parts = |run: &Range<usize>| -> (Vec<usize>, Vec<PointTrack>) {
-        let tracks = tracks.iter().enumerate();
-        tracks.filter_map(|(i, track)| Some((i, clipped(track, run)?))).unzip()
-    };
-    let (_, inside) = parts(&within);
-    if within.len() < LEAST_RUN || inside.len() < LEAST_TRACKS {
-        return None;
-    }
-    let weights = vec![1.0; inside.len()];
-    let posing = cameras::pose(
-        &inside,
-        &weights,
-        &focal,
-        within.len(),
-        0,
-        Strictness::Usual,
-        &mut work,
-        "object",
-    )
-    .ok()?;
-    let posed = posing.longest_run();
-    let mut run = within.start + posed.start..within.start + posed.end;
-    let mut whole = (run == within).then_some(posing);
-    while run.len() >= LEAST_RUN {
-        let (places, parts) = parts(&run);
-        let weights = vec![1.0; parts.len()];
-        let solved = match whole.take() {
-            // All tracks lie within the run.
-            Some(posing) => posing.adjusted(&parts, &weights, &focal),
-            None => cameras::reconstruct(
-                &parts,
-                &weights,
-                &focal,
-                run.len(),
-                0,
-                Strictness::Usual,
-                &mut work,
-                "object",
-            ),
-        };
-        let (piece, deepness) =
-            believed(&solved.ok()?, &parts, &places, tracks.len(), run.clone(), cameras)?;
-        // A change of depth without a change of size is an error of the solution.
-        let off = |k: usize| {
-            let change = (piece.frames[k + 1].depth / piece.frames[k].depth).ln();
-            change - (sizes[run.start + k + 1] - sizes[run.start + k])
-        };
-        let off: Vec<f64> = (0..run.len() - 1).map(off).collect();
-        let usual = quantile(off.clone(), 0.5);
-        let good = |k: usize| deepness[k] < DEEPEST;
-        let goes_on = |k: usize| (off[k] - usual).abs() < JUMP;
-        let solid = longest(run.len(), good, goes_on);
-        if solid.len() == run.len() {
-            return Some(piece);
+/// What is known of an object before its structure. Frames are counted from the object's first.
+struct Clip<'a> {
+    tracks: Vec<PointTrack>,
+    /// Logarithms of the depths derived from the size in the image.
+    sizes: &'a [f64],
+    cameras: &'a Cameras,
+    /// The cameras' rotations, `view_from_world`.
+    rotations: Vec<DQuat>,
+}
+
+impl Clip<'_> {
+    /// The longest structure from motion within a run of frames: of an object that does not rotate, if that
+    /// explains its tracks, otherwise of one that does.
+    fn piece(&self, within: Range<usize>) -> Option<Piece> {
+        let (_, inside) = self.parts(&within);
+        if within.len() < LEAST_RUN || inside.len() < LEAST_TRACKS {
+            return None;
         }
-        run = run.start + solid.start..run.start + solid.end;
+        let focal = Focal {
+            intrinsics: self.cameras.intrinsics,
+            source: FocalSource::Given,
+            deviation: 0.0,
+            held: true,
+            prior: None,
+        };
+        self.translating(&within, &focal).or_else(|| self.rotating(within, &focal, &inside))
     }
-    None
+
+    /// The structure from motion of an object that does not rotate.
+    fn translating(&self, within: &Range<usize>, focal: &Focal) -> Option<Piece> {
+        let seen = |f: usize| self.tracks.iter().filter(|track| track.at(f).is_some()).count();
+        let covered = longest(within.len(), |k| seen(within.start + k) >= LEAST_SEEN, |_| true);
+        let run = within.start + covered.start..within.start + covered.end;
+        self.trimmed(run, |run, tracks| {
+            let solved = cameras::translating(tracks, focal, &self.rotations[run.clone()]).ok()?;
+            let freed = solved.freed(tracks, focal).ok()?;
+            (solved.rms <= WORSE * freed.rms).then_some(solved)
+        })
+    }
+
+    /// The structure from motion of an object that rotates.
+    fn rotating(
+        &self,
+        within: Range<usize>,
+        focal: &Focal,
+        inside: &[PointTrack],
+    ) -> Option<Piece> {
+        let mut nothing = |_: Stage, _: f64| Ok(());
+        let mut progress = Progress(&mut nothing);
+        let mut work = Work::new(&mut progress);
+        let weights = vec![1.0; inside.len()];
+        let posing = cameras::pose(
+            inside,
+            &weights,
+            focal,
+            within.len(),
+            0,
+            Strictness::Usual,
+            &mut work,
+            "object",
+        )
+        .ok()?;
+        let posed = posing.longest_run();
+        let run = within.start + posed.start..within.start + posed.end;
+        let mut whole = (run == within).then_some(posing);
+        self.trimmed(run, |run, tracks| {
+            let weights = vec![1.0; tracks.len()];
+            let solved = match whole.take() {
+                // All tracks lie within the run.
+                Some(posing) => posing.adjusted(tracks, &weights, focal),
+                None => cameras::reconstruct(
+                    tracks,
+                    &weights,
+                    focal,
+                    run.len(),
+                    0,
+                    Strictness::Usual,
+                    &mut work,
+                    "object",
+                ),
+            };
+            solved.ok()
+        })
+    }
+
+    /// The accepted structure from motion in the longest part of a run in which its depths agree with the
+    /// sizes in the image. `solve` gives the cameras relative to the object from a run and the tracks in it.
+    fn trimmed(
+        &self,
+        mut run: Range<usize>,
+        mut solve: impl FnMut(&Range<usize>, &[PointTrack]) -> Option<Cameras>,
+    ) -> Option<Piece> {
+        while run.len() >= LEAST_RUN {
+            let (places, parts) = self.parts(&run);
+            let solved = solve(&run, &parts)?;
+            let (piece, deepness) =
+                believed(&solved, &parts, &places, self.tracks.len(), run.clone(), self.cameras)?;
+            // A change of depth without a change of size is an error of the solution.
+            let off = |k: usize| {
+                let change = (piece.frames[k + 1].depth / piece.frames[k].depth).ln();
+                change - (self.sizes[run.start + k + 1] - self.sizes[run.start + k])
+            };
+            let off: Vec<f64> = (0..run.len() - 1).map(off).collect();
+            let usual = quantile(off.clone(), 0.5);
+            let good = |k: usize| deepness[k] < DEEPEST;
+            let goes_on = |k: usize| (off[k] - usual).abs() < JUMP;
+            let solid = longest(run.len(), good, goes_on);
+            if solid.len() == run.len() {
+                return Some(piece);
+            }
+            run = run.start + solid.start..run.start + solid.end;
+        }
+        None
+    }
+
+    /// The parts of the tracks within a run, and the tracks' indices.
+    fn parts(&self, run: &Range<usize>) -> (Vec<usize>, Vec<PointTrack>) {
+        let tracks = self.tracks.iter().enumerate();
+        tracks.filter_map(|(i, track)| Some((i, clipped(track, run)?))).unzip()
+    }
 }
 
 /// Checks a structure from motion of an object's `tracks`, and converts it to a piece if it is accepted. Also

@@ -21,6 +21,8 @@ const DEPTH_FLOOR: f64 = 1e-6;
 pub(super) struct Layout {
     /// First column of each frame's twist; `None` where it is fixed.
     column: Vec<Option<usize>>,
+    /// Number of columns of a frame's twist: 6, or 3 with fixed rotations.
+    width: usize,
     /// Column of log f.
     focal: Option<usize>,
     /// Column of k1.
@@ -38,6 +40,7 @@ pub(super) struct Layout {
 impl Layout {
     pub(super) fn new(problem: &Problem, options: &Options, focal: bool) -> Layout {
         let none_fixed = !problem.fixed.iter().any(|f| *f);
+        let width = if options.rotations { 6 } else { 3 };
         let mut size = 0;
         let column: Vec<Option<usize>> = problem
             .fixed
@@ -46,8 +49,8 @@ impl Layout {
             .map(|(i, fixed)| {
                 let held = *fixed || (none_fixed && i == 0);
                 (!held).then(|| {
-                    size += 6;
-                    size - 6
+                    size += width;
+                    size - width
                 })
             })
             .collect();
@@ -67,17 +70,18 @@ impl Layout {
         }
         // Unknowns that are coupled with all others come last, and their rows begin at the first column.
         let mut coupled = vec![0; size];
-        column.iter().flatten().for_each(|&c| coupled[c..c + 6].fill(c));
+        column.iter().flatten().for_each(|&c| coupled[c..c + width].fill(c));
         for (point, members) in problem.points.iter().zip(&by_point) {
             let seen = || members.iter().map(|m| problem.observations[*m].frame);
             let frames = || seen().chain([point.frame]).filter_map(|frame| column[frame]);
             let Some(first) = frames().min() else { continue };
             for c in frames() {
                 let first = first.min(coupled[c]);
-                coupled[c..c + 6].fill(first);
+                coupled[c..c + width].fill(first);
             }
         }
-        Layout { column, focal, distortion, size, coupled, depths: options.depths, by_point }
+        let depths = options.depths;
+        Layout { column, width, focal, distortion, size, coupled, depths, by_point }
     }
 
     /// The column of log f; `None` where it is kept.
@@ -90,16 +94,19 @@ impl Layout {
         self.distortion
     }
 
-    /// The columns of a frame's twist, translation first; `None` where it is fixed.
+    /// The columns of a frame's twist, translation first and then the rotation unless rotations are fixed;
+    /// `None` where the frame is fixed.
     pub(super) fn columns(&self, frame: usize) -> Option<Range<usize>> {
-        self.column[frame].map(|first| first..first + 6)
+        self.column[frame].map(|first| first..first + self.width)
     }
 
     /// Applies a step. Inverse depths are clamped at 0, a point at infinity.
     pub(super) fn apply(&self, problem: &mut Problem, delta: &Step) {
         for (pose, column) in problem.poses.iter_mut().zip(&self.column) {
             if let Some(c) = *column {
-                *pose = retract(pose, &Twist::from_iterator((0..6).map(|k| delta.camera[c + k])));
+                let mut twist = Twist::zeros();
+                (0..self.width).for_each(|k| twist[k] = delta.camera[c + k]);
+                *pose = retract(pose, &twist);
             }
         }
         if let Some(c) = self.focal {
@@ -290,11 +297,15 @@ impl NormalEquations {
             let r = u - o.pixel;
             let (variance, squared) = (o.deviation.powi(2), r.length_squared());
             let w = o.weight * kernel(options.kernel, squared / variance, width).1 / variance;
-            let by_shared =
-                [&jacobian.reference[..], from_ref(&jacobian.log_focal), from_ref(&jacobian.k1)];
+            let twist = layout.width;
+            let by_shared = [
+                &jacobian.reference[..twist],
+                from_ref(&jacobian.log_focal),
+                from_ref(&jacobian.k1),
+            ];
             let run = |column: Option<usize>, derivatives| Some((column?, derivatives));
             let runs = [
-                run(layout.column[o.frame], &jacobian.target[..]),
+                run(layout.column[o.frame], &jacobian.target[..twist]),
                 run(shared[0], by_shared[0]),
                 run(shared[1], by_shared[1]),
                 run(shared[2], by_shared[2]),
@@ -312,7 +323,9 @@ impl NormalEquations {
                 row.information += with_depth(&jd);
                 row.gradient += w * jd.dot(r);
                 if let Some((column, derivatives)) = runs[0] {
-                    blocks.push((column, std::array::from_fn(|k| with_depth(&derivatives[k])), 6));
+                    let mut sums = [0.0; 6];
+                    sums.iter_mut().zip(derivatives).for_each(|(sum, j)| *sum = with_depth(j));
+                    blocks.push((column, sums, twist));
                 }
                 for (sums, derivatives) in with_shared.iter_mut().zip(by_shared) {
                     sums.iter_mut().zip(derivatives).for_each(|(sum, j)| *sum += with_depth(j));
@@ -320,7 +333,9 @@ impl NormalEquations {
             }
         }
         if layout.depths {
-            for ((column, sums), width) in shared.into_iter().zip(with_shared).zip([6, 1, 1]) {
+            for ((column, sums), width) in
+                shared.into_iter().zip(with_shared).zip([layout.width, 1, 1])
+            {
                 blocks.extend(column.map(|column| (column, sums, width)));
             }
             row.coupling = Coupling::sum(blocks);
@@ -579,13 +594,17 @@ mod tests {
     #[test]
     fn a_step_is_that_of_the_dense_normal_equations() {
         let problem = sideways(9, 6);
-        let options = Options { kernel: Kernel::None, distortion: true, ..Options::default() };
-        let layout = Layout::new(&problem, &options, true);
-        let equations = NormalEquations::build(&problem, &options, &layout, 1.0);
-        let expected = dense(&problem, &layout, 1e-2);
-        let found = equations.solve(&layout, 1e-2).unwrap().camera;
-        assert!(expected.amax() > 1e-4);
-        assert!((found - &expected).amax() < 1e-9 * expected.amax());
+        for rotations in [true, false] {
+            let options =
+                Options { kernel: Kernel::None, distortion: true, rotations, ..Options::default() };
+            let layout = Layout::new(&problem, &options, true);
+            assert_eq!(layout.size, 2 + if rotations { 8 * 6 } else { 8 * 3 });
+            let equations = NormalEquations::build(&problem, &options, &layout, 1.0);
+            let expected = dense(&problem, &layout, 1e-2);
+            let found = equations.solve(&layout, 1e-2).unwrap().camera;
+            assert!(expected.amax() > 1e-4);
+            assert!((found - &expected).amax() < 1e-9 * expected.amax());
+        }
     }
 
     #[test]

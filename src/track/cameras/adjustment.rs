@@ -6,7 +6,7 @@ use glam::DVec2;
 use rayon::prelude::*;
 
 use super::focal::ASSUMED;
-use super::{Anchor, Cameras, DEVIATION, Focal, Standpoint, information};
+use super::{Anchor, Cameras, DEVIATION, Focal, Kept, Standpoint, information};
 use crate::Result;
 use crate::geometry::bundle::{
     self, FocalMode, Observation, Point, PoseDeviation, Problem, adjust, pose_deviations,
@@ -141,7 +141,7 @@ impl Cameras {
             intrinsics: self.intrinsics,
             k1: self.k1,
             poses: places.iter().map(|&f| self.poses[f]).collect(),
-            fixed: places.iter().map(|_| self.held).collect(),
+            fixed: places.iter().map(|_| self.kept == Kept::Poses).collect(),
             points: Vec::with_capacity(chosen.len()),
             observations: Vec::new(),
         };
@@ -181,6 +181,7 @@ impl Cameras {
         bundle::Options {
             focal,
             depths: self.have_parallax(),
+            rotations: self.kept != Kept::Rotations,
             focal_prior: match self.focal_source {
                 FocalSource::Assumed => Some((ASSUMED * side, ASSUMED_DEVIATION)),
                 _ => self.focal_prior,
@@ -195,7 +196,7 @@ impl Cameras {
     /// that rotates in place (the accuracy of its rotations is limited by its own translation, which is not
     /// modelled), and for supplied poses that are kept.
     pub fn deviations(&self, tracks: &[PointTrack], weights: &[f64]) -> Vec<Option<PoseDeviation>> {
-        if !self.have_parallax() || self.held {
+        if !self.have_parallax() || self.kept == Kept::Poses {
             return vec![None; self.poses.len()];
         }
         let (problem, _) = self.problem(tracks, weights, &vec![true; self.poses.len()], POINTS);

@@ -6,6 +6,7 @@ mod judgement;
 mod lens;
 mod motions;
 mod posing;
+mod translating;
 mod turning;
 
 use glam::{DVec2, DVec3};
@@ -15,7 +16,9 @@ pub(super) use focal::Focal;
 pub use motions::RigidMotion;
 pub(super) use motions::{Motions, Search};
 pub(super) use posing::{pose, reconstruct};
+pub(super) use translating::translating;
 
+use super::stereo::Ground;
 use super::{FocalSource, quantile};
 use crate::Result;
 use crate::observe::{NeighbourFlow, PointTrack};
@@ -51,14 +54,13 @@ pub(super) struct Cameras {
     strictness: Strictness,
     /// Whether the poses were supplied.
     supplied: bool,
-    /// Whether the poses are fixed, so that only structure and focal length are adjusted.
-    held: bool,
+    /// The part of the poses that the adjustment keeps.
+    kept: Kept,
     /// The length of one world unit in the unit of the supplied poses; 1 without supplied poses.
     pub unit: f64,
-    /// The upward direction in the world, if the ground was found. It is not saved; a resumed run determines
-    /// it again.
+    /// The ground, if it was found. It is not saved; a resumed run determines it again.
     #[serde(skip)]
-    pub up: Option<DVec3>,
+    pub ground: Option<Ground>,
 }
 
 /// The kind of camera motion.
@@ -70,6 +72,17 @@ pub(in crate::track) enum Standpoint {
     Turns,
     /// All poses are identical.
     Fixed,
+}
+
+/// The part of the poses that the adjustment keeps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+enum Kept {
+    /// Poses, structure and focal length are adjusted.
+    Nothing,
+    /// The rotations are kept.
+    Rotations,
+    /// Only structure and focal length are adjusted.
+    Poses,
 }
 
 /// The threshold of outliers.
@@ -146,9 +159,9 @@ impl Cameras {
             standpoint: Standpoint::Moves,
             strictness: Strictness::Usual,
             supplied: false,
-            held: false,
+            kept: Kept::Nothing,
             unit: 1.0,
-            up: None,
+            ground: None,
         }
     }
 
@@ -163,7 +176,7 @@ impl Cameras {
         let mut cameras = Cameras {
             poses: poses.to_vec(),
             supplied: true,
-            held: !refine,
+            kept: if refine { Kept::Nothing } else { Kept::Poses },
             ..Cameras::new(focal, poses.len(), tracks.len())
         };
         // The poses are in an arbitrary unit. They are first scaled to approximately the world's unit, and to
@@ -196,6 +209,11 @@ impl Cameras {
         cameras.adjust(tracks, weights, focal)?;
         cameras.doubtful = cameras.frames_in_doubt(tracks, weights);
         Ok(cameras)
+    }
+
+    /// The upward direction in the world, if the ground was found.
+    pub fn up(&self) -> Option<DVec3> {
+        self.ground.map(|ground| ground.normal())
     }
 
     /// Whether static points have depths.

@@ -20,6 +20,7 @@ use super::super::plate::centre;
 use super::super::quantile;
 use super::super::residual::Seen;
 use super::super::shade::least;
+use crate::types::Pose;
 
 /// Approximate maximum number of points, over all frames, that the plane is estimated from.
 const POINTS: usize = 20_000;
@@ -50,7 +51,7 @@ const UNSEEN: f64 = 3.0;
 
 /// A plane in the world.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Ground {
+pub(in super::super) struct Ground {
     /// The unit normal of the plane, upwards.
     normal: DVec3,
     /// The dot product of the normal with every point of the plane.
@@ -95,9 +96,22 @@ impl Ground {
         plane.is_ground(&sights).then_some(plane)
     }
 
+    /// A known plane, for unit tests.
+    #[cfg(test)]
+    pub fn known(normal: DVec3, level: f64) -> Ground {
+        Ground { normal, level, deviation: EVEN.0 }
+    }
+
     /// The unit normal of the plane, upwards.
     pub fn normal(&self) -> DVec3 {
         self.normal
+    }
+
+    /// The plane in a camera: its inverse depth at a pixel is the dot product of this vector with the pixel's
+    /// ray. `None` if the camera is not above the plane.
+    pub fn from(&self, view_from_world: &Pose) -> Option<DVec3> {
+        let height = self.normal.dot(view_from_world.inverse().translation) - self.level;
+        (height > 0.0).then(|| view_from_world.rotation * -self.normal / height)
     }
 
     /// The number of points on the plane.
@@ -160,11 +174,7 @@ impl Ground {
         let k = &cameras.intrinsics;
         let width = k.width as usize;
         seen.par_iter_mut().zip(covered).zip(&cameras.poses).for_each(|((seen, covered), pose)| {
-            let height = self.normal.dot(pose.inverse().translation) - self.level;
-            if height <= 0.0 {
-                return;
-            }
-            let down = pose.rotation * -self.normal / height;
+            let Some(down) = self.from(pose) else { return };
             for i in (0..covered.len()).filter(|i| !covered[*i]) {
                 let ground = down.dot(k.ray(centre(i, width)));
                 let own = f64::from(seen.inverse_depth[i]);

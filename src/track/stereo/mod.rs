@@ -22,7 +22,6 @@ mod semi_global;
 mod sweep;
 mod views;
 
-use glam::DVec3;
 use rayon::prelude::*;
 
 use super::Stage;
@@ -33,7 +32,7 @@ use crate::Result;
 use crate::observe::luminance::Luminance;
 use crate::types::Image;
 use agree::Maps;
-use ground::Ground;
+pub(super) use ground::Ground;
 use views::View;
 
 /// Pixels within this distance of a mover are treated as the mover's, pixels.
@@ -101,15 +100,15 @@ pub(super) fn measure(
     if let Some(ground) = &ground {
         ground.settle(cameras, &covered, &mut seen);
     }
-    Ok(Measured { seen, up: ground.map(|ground| ground.normal()) })
+    Ok(Measured { seen, ground })
 }
 
 /// The result of stereo.
 pub(super) struct Measured {
     /// The static world, frame by frame.
     pub seen: Vec<Seen>,
-    /// The upward direction in the world, if ground was found.
-    pub up: Option<DVec3>,
+    /// The ground, if it was found.
+    pub ground: Option<Ground>,
 }
 
 /// The inputs of a sweep.
