@@ -94,8 +94,8 @@ impl Round {
         op.zero(&mut recorder, moments.view_mut(), 5)?;
         recorder.copy(op.weights().range(0..count), weights.view_mut());
         recorder.copy(op.totals(), totals.view_mut());
-        recorder.copy(op.slots(), slots.view_mut());
-        recorder.copy(op.targets(), targets.view_mut());
+        recorder.copy(op.row_from_slot(), slots.view_mut());
+        recorder.copy(op.target_from_slot(), targets.view_mut());
         h.stream.submit(recorder)?;
 
         // Weights are rounded exponentials, so f32 may be off by one.
@@ -356,7 +356,7 @@ fn adapt_once(
         STEP,
     )?;
     recorder.copy(op.totals(), totals.view_mut());
-    recorder.copy(op.rows(), new_rows.view_mut());
+    recorder.copy(op.source_from_row(), new_rows.view_mut());
     h.stream.submit(recorder)?;
 
     let actions = density::decide::<f32>(settings, &rows(statistics), logits, &rows(scales));

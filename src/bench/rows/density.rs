@@ -57,7 +57,7 @@ fn relocate(device: &Device, seed: u64, n: usize) -> Result<Job> {
     op.copy(&mut recorder, logit_buffer.view_mut(), 1)?;
     op.copy(&mut recorder, scale_buffer.view_mut(), 3)?;
     recorder.copy(op.weights(), weights.view_mut());
-    recorder.copy(op.targets(), targets.view_mut());
+    recorder.copy(op.target_from_slot(), targets.view_mut());
     stream.submit(recorder)?;
 
     let mut check = Check::new();
@@ -138,7 +138,7 @@ fn adapt(device: &Device, seed: u64, n: usize) -> Result<Job> {
     let mut recorder = stream.record()?;
     op.plan(&mut recorder, &settings, args!())?;
     op.gather(&mut recorder, scale_buffer.view(), gathered.view_mut(), 3, false)?;
-    recorder.copy(op.rows(), rows.view_mut());
+    recorder.copy(op.source_from_row(), rows.view_mut());
     stream.submit(recorder)?;
     let triples: Vec<[f32; 3]> = bytemuck::cast_slice(&scales).to_vec();
     let pairs: Vec<[f32; 2]> = bytemuck::cast_slice(&statistics).to_vec();

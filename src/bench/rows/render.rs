@@ -184,7 +184,7 @@ fn check_lists(check: &mut Check, frame: &mut Frame) -> Result<()> {
     let order = sort::by_bits(&keys, &drawn, 0..32).1;
     check.exact("order", &listed.bins.splat_from_rank, &order);
     let counts: Vec<u32> = order.iter().map(|&i| listed.tile_counts[i as usize]).collect();
-    check.exact("offsets", &listed.bins.offsets, &scan::exclusive(&counts));
+    check.exact("first intersections", &listed.bins.emitted_from_rank, &scan::exclusive(&counts));
     let [tiles, owners] = &listed.emitted;
     let whose: Vec<u32> = order
         .iter()
