@@ -59,6 +59,13 @@
 //! Beside these, `onnx` (in `cli`, on top of `reconstruct`) runs networks through an ONNX Runtime, which is
 //! found when one is asked for, `view` (in `cli`, on top of `files`) shows scenes in a browser, and `capi` adds the C interface, on top of the engine alone or of `files`.
 //!
+//! # Stability
+//!
+//! Before 1.0 a minor version may change the interface; `CHANGELOG.md` says so. `tests/api/public.txt` lists what
+//! is promised within a minor version. [`kernels`], [`oracle`], [`check`], `bench` and `report` are public for tests
+//! and tools and promise nothing. Structs of settings and options may gain fields: set those that matter, and
+//! take the others from [`Default`] or from the preset that made the value.
+//!
 //! # Conventions
 //!
 //! Those of [`types`]. The working precision of the device is f32; the oracle in f64 is the truth.

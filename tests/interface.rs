@@ -1,6 +1,8 @@
 //! Checks that the shaders match the Rust declarations of kernels, that the crate's layers depend on each
 //! other only as allowed, and that messages are in order. Needs no device.
 
+#[path = "interface/constants.rs"]
+mod constants;
 #[path = "interface/layering.rs"]
 mod layering;
 #[path = "interface/messages.rs"]
@@ -11,6 +13,7 @@ mod reflect;
 use reflect::{Demands, Interface};
 use rspirv::spirv::Capability;
 use splat4d::gpu::{ConstantInfo, ConstantValue, Constants, Kernel, KernelInfo};
+use splat4d::types::FlowSettings;
 use splat4d::{check, kernels};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -218,6 +221,73 @@ fn constants_are_numbered_in_order_and_give_their_bits() {
         .map(|constant| constant.default.word())
         .collect();
     assert_eq!(kernels::adam::StepConstants::default().words(), *defaults);
+}
+
+#[test]
+fn constants_that_glsl_and_rust_share_agree() {
+    let (shaders, rust) = (constants::of_shaders(&root()), constants::of_crate(&root()));
+    let wrong = constants::differences(&shaders, &rust);
+    assert!(wrong.is_empty(), "\n{}", wrong.join("\n"));
+
+    let named = |all: &[constants::Constant]| -> BTreeSet<String> {
+        all.iter().map(|constant| constant.name.clone()).collect()
+    };
+    let (in_shaders, in_rust) = (named(&shaders), named(&rust));
+    assert!(in_shaders.intersection(&in_rust).count() >= 20, "{in_shaders:?} {in_rust:?}");
+    for &(file, name) in constants::OTHERS {
+        let is_there = rust.iter().any(|c| c.file == file && c.name == name);
+        assert!(is_there && in_shaders.contains(name), "{file} {name} need not be an exception");
+    }
+
+    // What the shaders derive from the same numbers has names of its own.
+    let in_glsl = |file: &str, name: &str| {
+        let found = shaders.iter().find(|c| c.file == file && c.name == name);
+        found.unwrap_or_else(|| panic!("{file} has no {name}")).value
+    };
+    let labels = 2.0 * f64::from(FlowSettings::MAX_START_RADIUS) + 1.0;
+    assert_eq!(in_glsl("glsl/flow/path.comp", "MAX_LABELS"), labels * labels);
+    let invocations = f64::from(kernels::roofline::Copy::INFO.workgroup[0]);
+    assert_eq!(
+        in_glsl("glsl/roofline/copy.comp", "EACH") * invocations,
+        f64::from(kernels::roofline::COPY_PER_GROUP)
+    );
+}
+
+#[test]
+fn a_drifted_shared_constant_is_noticed() {
+    let glsl = "const uint BLOCK = 4096u;\nconst float LARGEST = 1e18;\nconst vec2 V = vec2(1.0);\n\
+                layout(constant_id = 0) const uint K = 4u;\n    const uint NONE = 0xffffffffu;";
+    let rust = "pub const BLOCK: u32 = 4_096;\npub(crate) const LARGEST: f64 = 1e17;\n\
+                const SIDE: u32 = 3;\nconst AREA: u32 = SIDE * SIDE;\nconst NONE: u32 = u32::MAX;\n\
+                const NAME: &str = \"K\";";
+    let listed = |file: &str, source: &str| -> Vec<constants::Constant> {
+        let constants = constants::constants(source).into_iter();
+        constants
+            .map(|(name, value)| constants::Constant { file: file.to_owned(), name, value })
+            .collect()
+    };
+    let (shaders, crate_) = (listed("a.glsl", glsl), listed("a.rs", rust));
+    let names = |all: &[constants::Constant]| -> Vec<(String, f64)> {
+        all.iter().map(|c| (c.name.clone(), c.value)).collect()
+    };
+    let none = ("NONE".to_owned(), 4_294_967_295.0);
+    assert_eq!(
+        names(&shaders),
+        [("BLOCK".to_owned(), 4096.0), ("LARGEST".to_owned(), 1e18), none.clone()]
+    );
+    assert_eq!(
+        names(&crate_),
+        [
+            ("AREA".to_owned(), 9.0),
+            ("BLOCK".to_owned(), 4096.0),
+            ("LARGEST".to_owned(), 1e17),
+            none,
+            ("SIDE".to_owned(), 3.0),
+        ]
+    );
+    let wrong = constants::differences(&shaders, &crate_);
+    assert_eq!(wrong.len(), 1, "{wrong:?}");
+    assert!(wrong[0].contains("LARGEST"), "{wrong:?}");
 }
 
 /// Only `io` opens input files, so that what it refuses (pipes, devices, sizes beyond memory) is refused

@@ -9,7 +9,7 @@ layout(local_size_x = 64) in;
 layout(std430, binding = 0) readonly buffer VisibleCount { uint visible_count[]; };
 layout(std430, binding = 1) readonly buffer SplatFromRank { uint splat_from_rank[]; };
 layout(std430, binding = 2) readonly buffer Counts { uint counts[]; };
-layout(std430, binding = 3) readonly buffer Offsets { uint offsets[]; };
+layout(std430, binding = 3) readonly buffer EmittedFromRank { uint emitted_from_rank[]; };
 layout(std430, binding = 4) readonly buffer Rectangles { uvec2 rectangles[]; };
 layout(std430, binding = 5) readonly buffer Means { vec4 means[]; };
 layout(std430, binding = 6) readonly buffer Conics { vec4 conics[]; };
@@ -39,7 +39,7 @@ void main() {
     uvec2 image = uvec2(width, height);
     uvec2 grid = tile_grid(image);
     uint splat = splat_from_rank[rank];
-    uint offset = offsets[rank], reached = counts[rank];
+    uint offset = emitted_from_rank[rank], reached = counts[rank];
     // A sum that overflowed must not be taken for one that fits. No splat overlaps 2^32 tiles, so
     // an overflow appears at some rank as a sum smaller than its offset.
     if (offset + reached < offset) {

@@ -17,7 +17,9 @@ layout(push_constant) uniform Params {
     uint listed;    // whether ids name the points; else row r is point r
 };
 
-// Neighbours per point, 1 to 16.
+// Largest number of neighbours per point.
+const uint MOST_NEIGHBOURS = 16u;
+// Neighbours per point, at least 1.
 layout(constant_id = 0) const uint K = 4u;
 
 #include "common/grid.glsl"
@@ -30,8 +32,8 @@ void main() {
     uint id = listed != 0u ? ids[row] : row;
     vec3 point = positions[id];
     const float FAR = uintBitsToFloat(0x7f800000u);
-    float distances[16];
-    uint found[16];
+    float distances[MOST_NEIGHBOURS];
+    uint found[MOST_NEIGHBOURS];
     // The largest of the K distances.
     float worst = FAR;
     for (uint s = 0u; s < K; s++) {

@@ -42,7 +42,7 @@ void main() {
     vec4 q = rotations[j];
     float rigid = 0.0;
     float fade = 0.0;
-    Neighbour near[8];
+    Neighbour near[MOST_FOLLOWED];
     uint heaviest;
     if (load_neighbours(row, point, near, heaviest)) {
         vec3 delta;

@@ -1,7 +1,9 @@
 // The neighbours of one Gaussian and the blend of their motions, shared by skinning and its
 // backward pass. Requires Positions, Neighbours, Nodes, LogRadii, Transforms and `transforms_at`.
 
-// Neighbours per Gaussian, 1 to 8.
+// Largest number of neighbours per Gaussian.
+const uint MOST_FOLLOWED = 8u;
+// Neighbours per Gaussian, at least 1.
 layout(constant_id = 0) const uint K = 4u;
 
 const uint NONE = 0xffffffffu;
@@ -30,8 +32,8 @@ float inverse_square(float log_radius) {
 // coarse for weights whose slopes are as large (case deform/underflow). The exponents are therefore
 // computed relative to the largest one, from the differences of the offsets and of the inverse
 // squared radii, before rounding discards these differences.
-bool load_neighbours(uint row, vec3 point, out Neighbour near[8], out uint heaviest) {
-    float exponents[8], inverse_squares[8];
+bool load_neighbours(uint row, vec3 point, out Neighbour near[MOST_FOLLOWED], out uint heaviest) {
+    float exponents[MOST_FOLLOWED], inverse_squares[MOST_FOLLOWED];
     float largest = NEVER;
     heaviest = 0u;
     for (uint s = 0u; s < K; s++) {
@@ -107,7 +109,7 @@ bool load_neighbours(uint row, vec3 point, out Neighbour near[8], out uint heavi
 
 // The displacement of the centre, and the sum of the rotations, each with the sign that brings it
 // into the hemisphere of the heaviest one.
-void blend(inout Neighbour near[8], uint heaviest, out vec3 delta, out vec4 sum) {
+void blend(inout Neighbour near[MOST_FOLLOWED], uint heaviest, out vec3 delta, out vec4 sum) {
     vec4 pole = NO_ROTATION;
     for (uint s = 0u; s < K; s++) {
         pole = s == heaviest ? near[s].rotation : pole;

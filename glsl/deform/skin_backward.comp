@@ -42,7 +42,7 @@ void main() {
     }
     uint j = gaussian_from_dynamic[row];
     vec3 point = positions[j];
-    Neighbour near[8];
+    Neighbour near[MOST_FOLLOWED];
     uint heaviest;
     // A Gaussian without a neighbour keeps its gradients. It uses the same stores, because software
     // devices also execute branches that are not taken.
@@ -81,7 +81,7 @@ void main() {
     }
     vec4 by_sum = unit_quaternion_backward(sum, by_blended);
 
-    float by_weight[8];
+    float by_weight[MOST_FOLLOWED];
     for (uint s = 0u; s < K; s++) {
         by_weight[s] = dot(by_delta, near[s].moved) + dot(by_sum, near[s].rotation);
     }

@@ -1,12 +1,12 @@
 #version 460
-// Copies the target row of each slot to the slot, within one array.
+// Copies the target slot of each slot to the slot, within one array.
 #extension GL_GOOGLE_include_directive : require
 
 layout(local_size_x = 64) in;
 
 layout(std430, binding = 0) readonly buffer Totals { uint totals[]; };
-layout(std430, binding = 1) readonly buffer Slots { uint slots[]; };
-layout(std430, binding = 2) readonly buffer Targets { uint targets[]; };
+layout(std430, binding = 1) readonly buffer RowFromSlot { uint row_from_slot[]; };
+layout(std430, binding = 2) readonly buffer TargetFromSlot { uint target_from_slot[]; };
 layout(std430, binding = 3) buffer Values { float values[]; };
 
 layout(push_constant) uniform Params {
@@ -17,10 +17,10 @@ layout(push_constant) uniform Params {
 
 void main() {
     uint i = group_index() * 64u + gl_LocalInvocationIndex;
-    uint row = i / width;
-    if (row >= totals[1] || targets[row] == 0xffffffffu) {
+    uint slot = i / width;
+    if (slot >= totals[1] || target_from_slot[slot] == 0xffffffffu) {
         return;
     }
     uint column = i % width;
-    values[slots[row] * width + column] = values[targets[row] * width + column];
+    values[row_from_slot[slot] * width + column] = values[target_from_slot[slot] * width + column];
 }

@@ -9,8 +9,8 @@ layout(local_size_x = 64) in;
 layout(std430, binding = 0) readonly buffer WeightPrefix { uint weight_prefix[]; };
 // The sum of the weights; the number of slots.
 layout(std430, binding = 1) readonly buffer Totals { uint totals[]; };
-layout(std430, binding = 2) readonly buffer Slots { uint slots[]; };
-layout(std430, binding = 3) writeonly buffer Targets { uint targets[]; };
+layout(std430, binding = 2) readonly buffer RowFromSlot { uint row_from_slot[]; };
+layout(std430, binding = 3) writeonly buffer TargetFromSlot { uint target_from_slot[]; };
 layout(std430, binding = 4) buffer Drawn { uint drawn[]; };
 layout(std430, binding = 5) writeonly buffer Touched { uint touched[]; };
 
@@ -34,8 +34,8 @@ void main() {
     if (total == 0u) {
         // No Gaussian can be drawn. A new row must hold valid values and copies row 0; a dead
         // Gaussian stays.
-        targets[i] = grown != 0u ? 0u : 0xffffffffu;
-        touched[slots[i]] = grown;
+        target_from_slot[i] = grown != 0u ? 0u : 0xffffffffu;
+        touched[row_from_slot[i]] = grown;
         return;
     }
     uint rest = multiply_high(random_words(uvec4(i, step_number, seed, 0u)).x, total);
@@ -49,8 +49,8 @@ void main() {
         low = within ? middle : low;
         high = within ? high : middle;
     }
-    targets[i] = low;
+    target_from_slot[i] = low;
     atomicAdd(drawn[low], 1u);
     touched[low] = 1u;
-    touched[slots[i]] = 1u;
+    touched[row_from_slot[i]] = 1u;
 }

@@ -6,7 +6,7 @@
 layout(local_size_x = 64) in;
 
 layout(std430, binding = 0) readonly buffer Totals { uint totals[]; };
-layout(std430, binding = 1) readonly buffer Rows { uint rows[]; };
+layout(std430, binding = 1) readonly buffer SourceFromRow { uint source_from_row[]; };
 layout(std430, binding = 2) readonly buffer Values { float values[]; };
 layout(std430, binding = 3) writeonly buffer Gathered { float gathered[]; };
 
@@ -23,7 +23,7 @@ void main() {
     if (row >= totals[2]) {
         return;
     }
-    uint code = rows[row];
+    uint code = source_from_row[row];
     bool zero = fresh_zero != 0u && code >= 1u << 30u;
     gathered[i] = zero ? 0.0 : values[(code & 0x3fffffffu) * width + i % width];
 }

@@ -11,7 +11,7 @@ layout(std430, binding = 1) readonly buffer KeptPrefix { uint kept_prefix[]; };
 layout(std430, binding = 2) readonly buffer AddedPrefix { uint added_prefix[]; };
 // Number of survivors; number of candidates to add; receives the final number of rows.
 layout(std430, binding = 3) buffer Totals { uint totals[]; };
-layout(std430, binding = 4) writeonly buffer Rows { uint rows[]; };
+layout(std430, binding = 4) writeonly buffer SourceFromRow { uint source_from_row[]; };
 
 layout(push_constant) uniform Params {
     uint count;
@@ -33,7 +33,7 @@ void main() {
     bool grows = actions[j] >= 2u && added_prefix[j] < free;
     uint origin = actions[j] == 3u ? 2u : 1u;
     if (grows) {
-        rows[survivors + added_prefix[j]] = j | origin << 30u;
+        source_from_row[survivors + added_prefix[j]] = j | origin << 30u;
     }
-    rows[kept_prefix[j]] = j | (grows && origin == 2u ? 2u << 30u : 0u);
+    source_from_row[kept_prefix[j]] = j | (grows && origin == 2u ? 2u << 30u : 0u);
 }

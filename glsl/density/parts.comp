@@ -7,7 +7,7 @@
 layout(local_size_x = 64) in;
 
 layout(std430, binding = 0) readonly buffer Totals { uint totals[]; };
-layout(std430, binding = 1) readonly buffer Rows { uint rows[]; };
+layout(std430, binding = 1) readonly buffer SourceFromRow { uint source_from_row[]; };
 layout(std430, binding = 2) readonly buffer Rotations { vec4 rotations[]; };
 layout(scalar, binding = 3) buffer Positions { vec3 positions[]; };
 layout(scalar, binding = 4) buffer LogScales { vec3 log_scales[]; };
@@ -25,7 +25,7 @@ layout(push_constant) uniform Params {
 
 void main() {
     uint j = group_index() * 64u + gl_LocalInvocationIndex;
-    if (j >= totals[2] || rows[j] >> 30u != 2u) {
+    if (j >= totals[2] || source_from_row[j] >> 30u != 2u) {
         return;
     }
     vec3 log_scale = log_scales[j];

@@ -7,7 +7,7 @@ layout(local_size_x = 64) in;
 
 layout(std430, binding = 0) readonly buffer Dead { uint dead[]; };
 layout(std430, binding = 1) readonly buffer DeadPrefix { uint dead_prefix[]; };
-layout(std430, binding = 2) writeonly buffer Slots { uint slots[]; };
+layout(std430, binding = 2) writeonly buffer RowFromSlot { uint row_from_slot[]; };
 
 layout(push_constant) uniform Params {
     uint count;
@@ -20,11 +20,11 @@ void main() {
     uint j = group_index() * 64u + gl_LocalInvocationIndex;
     if (grown != 0u) {
         if (j < grown) {
-            slots[j] = count + j;
+            row_from_slot[j] = count + j;
         }
         return;
     }
     if (j < count && dead[j] != 0u) {
-        slots[dead_prefix[j]] = j;
+        row_from_slot[dead_prefix[j]] = j;
     }
 }

@@ -7,7 +7,7 @@ layout(local_size_x = 64) in;
 layout(std430, binding = 0) readonly buffer VisibleCount { uint visible_count[]; };
 layout(std430, binding = 1) readonly buffer SplatFromRank { uint splat_from_rank[]; };
 layout(std430, binding = 2) readonly buffer Counts { uint counts[]; };
-layout(std430, binding = 3) readonly buffer Offsets { uint offsets[]; };
+layout(std430, binding = 3) readonly buffer EmittedFromRank { uint emitted_from_rank[]; };
 layout(std430, binding = 4) readonly buffer SlotsA { vec4 slots_a[]; };
 layout(std430, binding = 5) readonly buffer SlotsB { vec4 slots_b[]; };
 layout(std430, binding = 6) readonly buffer SlotsC { vec2 slots_c[]; };
@@ -35,7 +35,7 @@ void main() {
         return;
     }
     uint splat = splat_from_rank[rank];
-    uint first = min(offsets[rank], capacity);
+    uint first = min(emitted_from_rank[rank], capacity);
     uint last = min(first + counts[rank], capacity);
     vec4 a = vec4(0.0), b = vec4(0.0);
     vec2 c = vec2(0.0);

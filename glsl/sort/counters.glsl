@@ -1,6 +1,9 @@
 // One counter per digit value for each invocation of a workgroup.
 
 const uint RUNS_PER_GROUP = 32u;
+// Largest widths of a digit, in bits.
+const uint OWN_DIGIT_BITS = 9u;
+const uint SHARED_DIGIT_BITS = 8u;
 
 // Whether the counters are in a private array of the invocation instead of shared memory. On
 // software devices a private array costs a fraction of shared memory, because their compiler
@@ -8,9 +11,9 @@ const uint RUNS_PER_GROUP = 32u;
 // this size is spilled.
 layout(constant_id = 0) const bool OWN_COUNTERS = false;
 
-uint own_counters[512];
+uint own_counters[1u << OWN_DIGIT_BITS];
 // Indexed [digit][invocation], so that adjacent invocations use different banks.
-shared uint shared_counters[256 * RUNS_PER_GROUP];
+shared uint shared_counters[(1u << SHARED_DIGIT_BITS) * RUNS_PER_GROUP];
 
 uint counter(uint digit) {
     if (OWN_COUNTERS) {

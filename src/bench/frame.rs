@@ -150,7 +150,7 @@ impl Frame {
         let bins = Bins {
             grid: grid(size[0], size[1]),
             splat_from_rank: cut(stream.download(&s.splat_from_rank)?, self.counts.visible),
-            offsets: cut(stream.download(&s.rank_offsets)?, self.counts.visible),
+            emitted_from_rank: cut(stream.download(&s.emitted_from_rank)?, self.counts.visible),
             splat_from_sorted: intersections.iter().map(|&at| owners[at as usize]).collect(),
             tiles: sorted,
             ranges: stream.download(&s.ranges)?,

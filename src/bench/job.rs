@@ -1,10 +1,12 @@
 //! Verification and timing of one benchmark row.
 
+use std::cell::RefCell;
+use std::rc::Rc;
 use std::time::{Duration, Instant};
 
 use super::verify::Check;
 use crate::check::{Harness, Workload};
-use crate::gpu::{Detail, Device, Meter, Recorder};
+use crate::gpu::{Detail, Device, Meter, Recorder, Stream};
 use crate::report::{Accuracy, Clock, Place, Row, Spread, Work};
 use crate::{Error, Result};
 
@@ -95,10 +97,7 @@ impl Job {
             place: Place::Device,
             reset: None,
             execute: Box::new(move || {
-                let mut recorder = stream.record()?;
-                record(&mut recorder)?;
-                let ticket = stream.submit(recorder)?;
-                stream.wait(ticket)?;
+                run(&mut stream, &mut record)?;
                 Ok(None)
             }),
         })
@@ -115,7 +114,22 @@ impl Job {
         let mut workload = prepare(&mut harness)?;
         harness.execute(&mut workload)?;
         let accuracy = Check::of(&harness.finish().0).accuracy();
-        Job::recorded(device, accuracy, workload.work(), move |recorder| workload.record(recorder))
+        let work = workload.work();
+        let (mut inputs, mut stream) = (device.stream()?, device.stream()?);
+        let shared = Rc::new(RefCell::new(workload));
+        let timed = shared.clone();
+        Ok(Job {
+            accuracy,
+            work,
+            place: Place::Device,
+            reset: Some(Box::new(move || {
+                run(&mut inputs, |recorder| shared.borrow_mut().record_inputs(recorder))
+            })),
+            execute: Box::new(move || {
+                run(&mut stream, |recorder| timed.borrow_mut().record(recorder))?;
+                Ok(None)
+            }),
+        })
     }
 
     /// A job on the CPU.
@@ -186,6 +200,14 @@ impl Job {
             .ok_or_else(|| Error::Failed("the device's timestamps make no sense".into()))?;
         Ok((spread, clock))
     }
+}
+
+/// Submits a recording and waits for it.
+fn run(stream: &mut Stream, record: impl FnOnce(&mut Recorder) -> Result<()>) -> Result<()> {
+    let mut recorder = stream.record()?;
+    record(&mut recorder)?;
+    let ticket = stream.submit(recorder)?;
+    stream.wait(ticket)
 }
 
 /// Verifies an entry and, if that passed, times it. An entry that cannot run gives a row without

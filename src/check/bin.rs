@@ -64,7 +64,7 @@ fn compare(
     // Offsets; nothing is written past the last.
     let mut counts: Vec<u32> = order.iter().map(|&i| out.tile_counts[i as usize]).collect();
     counts.resize(out.visible.len(), 0);
-    harness.exact(&format!("{what}: offsets"), &out.rank_offsets, &scan::exclusive(&counts));
+    harness.exact(&format!("{what}: offsets"), &out.emitted_from_rank, &scan::exclusive(&counts));
     let total = pairs(&counts);
     harness.exact(&format!("{what}: counts"), &out.counts, &[drawn.len() as u32, total]);
     harness.exact(&format!("{what}: fits"), &[out.fits], &[total as usize <= capacity]);
@@ -74,7 +74,7 @@ fn compare(
     let tile_count = grid(width, height).iter().product::<u32>();
     let (mut right, mut phantoms) = (out.tiles.len() == m, 0);
     for (rank, &splat) in order.iter().enumerate() {
-        let begin = (out.rank_offsets[rank] as usize).min(m);
+        let begin = (out.emitted_from_rank[rank] as usize).min(m);
         let end = (begin + counts[rank] as usize).min(m);
         right &= out.splat_from_emitted[begin..end].iter().all(|&s| s == splat);
         let emitted = &out.tiles[begin..end];

@@ -3,7 +3,7 @@
 use super::Workload;
 use super::finding::{self, Bound, Finding};
 use crate::error::{Error, Result};
-use crate::gpu::{Buffer, Device, Stream, ViewMut};
+use crate::gpu::{Buffer, Device, Stream, View, ViewMut};
 use bytemuck::{NoUninit, Pod};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -63,6 +63,7 @@ impl Harness {
     pub fn execute(&mut self, workload: &mut impl Workload) -> Result<()> {
         let mut recorder = self.stream.record()?;
         workload.record_before(&mut recorder)?;
+        workload.record_inputs(&mut recorder)?;
         workload.record(&mut recorder)?;
         self.stream.submit(recorder)?;
         workload.compare(self)
@@ -108,6 +109,18 @@ impl Harness {
             )));
         }
         Ok(inner.to_vec())
+    }
+
+    /// Reads a buffer that an op owns.
+    ///
+    /// # Errors
+    /// Out of memory, or a failed submission.
+    pub fn read_view<T: Pod>(&mut self, view: View<'_, T>) -> Result<Vec<T>> {
+        let mut copy = self.device.buffer::<T>("values of an op", view.len())?;
+        let mut recorder = self.stream.record()?;
+        recorder.copy(view, copy.view_mut());
+        self.stream.submit(recorder)?;
+        self.stream.download(&copy)
     }
 
     /// Adds a device result to the digest that must be equal, bit for bit, when the case runs

@@ -1,14 +1,16 @@
 //! Check cases of the photometric loss and its gradient.
 
-use super::{Bound, Case, Harness};
+use super::{Bound, Case, Harness, Workload};
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Recorder, Stream};
-use crate::ops::loss::{KnownDisparity, Loss, LossArgs, LossSettings, LossValue, Reference};
+use crate::ops::loss::{
+    KnownDisparity, Loss, LossArgs, LossScratch, LossSettings, LossValue, Reference,
+};
 use crate::ops::render::{PixelBuffers, PixelGradients};
 use crate::oracle::Real;
 use crate::oracle::loss::{self, DepthKind, DepthTerm, Target};
 use crate::oracle::raster::Pixels;
-use crate::types::Image;
+use crate::types::{Image, Work};
 use bytemuck::Pod;
 use rand::RngExt;
 
@@ -27,6 +29,7 @@ const SLACK: usize = 64;
 const POISON: u32 = 0xffff_ffff;
 
 /// A rendered image and the training image to compare it with.
+#[derive(Clone)]
 struct Input {
     width: u32,
     height: u32,
@@ -137,57 +140,149 @@ fn read<T: Pod>(stream: &mut Stream, buffer: &Buffer<T>, len: usize) -> Result<V
     Ok(all)
 }
 
-fn run(harness: &mut Harness, input: &Input) -> Result<Answer> {
-    let (device, stream) = (&harness.device, &mut harness.stream);
-    let (width, height) = (input.width, input.height);
-    let area = width as usize * height as usize;
-    let rgba: Vec<[f32; 4]> = input
-        .rendered
-        .rgb
-        .iter()
-        .zip(&input.rendered.alpha)
-        .map(|(rgb, &alpha)| [rgb[0], rgb[1], rgb[2], alpha])
-        .collect();
-    let pixels = PixelBuffers {
-        width,
-        height,
-        rgba: device.upload("rendered rgba", &rgba)?,
-        depth: device.upload("rendered depth", &input.rendered.depth)?,
-        last: device.buffer("last intersections", 0)?,
-    };
-    let reference = Reference::new(device, &input.photo, input.weights.as_ref())?;
-    let known = input.known.as_ref().map(|v| KnownDisparity::new(device, v)).transpose()?;
-    let mut gradients = PixelGradients {
-        rgba: device.buffer("rgba gradient", area + SLACK)?,
-        depth: device.buffer("depth gradient", area)?,
-    };
-    let op = Loss::plan(device, width, height);
-    // Scratch for a larger image: elements after the planes must stay poison.
-    let mut scratch = Loss::plan(device, width, height + SLACK as u32).scratch(device)?;
-    let mut recorder = stream.record()?;
-    poison(&mut recorder, &mut gradients.rgba);
-    poison(&mut recorder, &mut gradients.depth);
-    scratch.windowed.iter_mut().for_each(|channel| poison(&mut recorder, channel));
-    scratch.derivatives.iter_mut().for_each(|channel| poison(&mut recorder, channel));
-    poison(&mut recorder, &mut scratch.partials);
-    poison(&mut recorder, &mut scratch.totals);
-    let args = LossArgs {
-        rendered: &pixels,
-        reference: &reference,
-        disparity: known.as_ref(),
-        gradients: &mut gradients,
-    };
-    op.record(&mut recorder, &input.settings, args, &mut scratch)?;
-    stream.submit(recorder)?;
-    for (windowed, derivatives) in scratch.windowed.iter().zip(&scratch.derivatives) {
-        read(stream, windowed, area)?;
-        read(stream, derivatives, area)?;
+/// The loss and its gradient.
+pub(crate) struct LossWorkload {
+    input: Input,
+    /// The largest difference from the oracle, as a share of the largest value.
+    share: f64,
+    op: Loss,
+    scratch: LossScratch,
+    pixels: PixelBuffers,
+    reference: Reference,
+    known: Option<KnownDisparity>,
+    gradients: PixelGradients,
+}
+
+impl LossWorkload {
+    /// Uploads an input.
+    fn new(harness: &mut Harness, input: Input, share: f64) -> Result<LossWorkload> {
+        let device = &harness.device;
+        let (width, height) = (input.width, input.height);
+        let area = width as usize * height as usize;
+        let rgba: Vec<[f32; 4]> = input
+            .rendered
+            .rgb
+            .iter()
+            .zip(&input.rendered.alpha)
+            .map(|(rgb, &alpha)| [rgb[0], rgb[1], rgb[2], alpha])
+            .collect();
+        Ok(LossWorkload {
+            op: Loss::plan(device, width, height),
+            // Scratch for a larger image: elements after the planes must stay poison.
+            scratch: Loss::plan(device, width, height + SLACK as u32).scratch(device)?,
+            pixels: PixelBuffers {
+                width,
+                height,
+                rgba: device.upload("rendered rgba", &rgba)?,
+                depth: device.upload("rendered depth", &input.rendered.depth)?,
+                last: device.buffer("last intersections", 0)?,
+            },
+            reference: Reference::new(device, &input.photo, input.weights.as_ref())?,
+            known: input.known.as_ref().map(|v| KnownDisparity::new(device, v)).transpose()?,
+            gradients: PixelGradients {
+                rgba: device.buffer("rgba gradient", area + SLACK)?,
+                depth: device.buffer("depth gradient", area)?,
+            },
+            input,
+            share,
+        })
     }
-    Ok(Answer {
-        value: op.value(stream, &reference, known.as_ref(), &scratch)?,
-        rgba: read(stream, &gradients.rgba, area)?,
-        depth: stream.download(&gradients.depth)?,
-    })
+
+    /// The photometric loss of a random image.
+    pub(crate) fn random(harness: &mut Harness, width: u32, height: u32) -> Result<LossWorkload> {
+        let input = input(harness, width, height);
+        LossWorkload::new(harness, input, TEXTURED)
+    }
+
+    fn answer(&self, stream: &mut Stream) -> Result<Answer> {
+        let area = self.input.width as usize * self.input.height as usize;
+        let scratch = &self.scratch;
+        for (windowed, derivatives) in scratch.windowed.iter().zip(&scratch.derivatives) {
+            read(stream, windowed, area)?;
+            read(stream, derivatives, area)?;
+        }
+        Ok(Answer {
+            value: self.op.value(stream, &self.reference, self.known.as_ref(), scratch)?,
+            rgba: read(stream, &self.gradients.rgba, area)?,
+            depth: stream.download(&self.gradients.depth)?,
+        })
+    }
+}
+
+impl Workload for LossWorkload {
+    fn record_before(&mut self, recorder: &mut Recorder) -> Result<()> {
+        let (scratch, gradients) = (&mut self.scratch, &mut self.gradients);
+        poison(recorder, &mut gradients.rgba);
+        poison(recorder, &mut gradients.depth);
+        scratch.windowed.iter_mut().for_each(|channel| poison(recorder, channel));
+        scratch.derivatives.iter_mut().for_each(|channel| poison(recorder, channel));
+        poison(recorder, &mut scratch.partials);
+        poison(recorder, &mut scratch.totals);
+        Ok(())
+    }
+
+    fn record(&mut self, recorder: &mut Recorder) -> Result<()> {
+        let args = LossArgs {
+            rendered: &self.pixels,
+            reference: &self.reference,
+            disparity: self.known.as_ref(),
+            gradients: &mut self.gradients,
+        };
+        self.op.record(recorder, &self.input.settings, args, &mut self.scratch)
+    }
+
+    fn compare(&self, h: &mut Harness) -> Result<()> {
+        let (input, share) = (&self.input, self.share);
+        let answer = self.answer(&mut h.stream)?;
+        let (exact, single) = (truth::<f64>(input), truth::<f32>(input));
+        let scale = f64::from(input.settings.depth_scale);
+        let mean = |depth: f64| if scale > 0.0 { depth / scale } else { 0.0 };
+        let narrow = |values: [f64; 3]| values.map(|value| value as f32);
+        let LossValue { l1, ssim, disparity } = answer.value;
+        let device = narrow([l1, ssim, disparity]);
+        let truth = [exact.l1, exact.ssim, mean(exact.depth)];
+        let twin = narrow([single.l1.f64(), single.ssim.f64(), mean(single.depth.f64())]);
+        let bound = Bound { absolute: share, relative: 0.0 };
+        h.close("value", &device, &truth, Some(&twin), bound);
+
+        let bound = |truth: &[f64]| {
+            let largest = truth.iter().fold(0.0f64, |m, v| m.max(v.abs()));
+            Bound { absolute: share * largest + 1e-30, relative: share }
+        };
+        let device: Vec<f32> = answer.rgba.iter().flat_map(|p| [p[0], p[1], p[2]]).collect();
+        let truth = exact.gradient.rgb.as_flattened();
+        let twin = single.gradient.rgb.as_flattened();
+        h.close("gradient by colour", &device, truth, Some(twin), bound(truth));
+        let device: Vec<f32> = answer.rgba.iter().map(|p| p[3]).collect();
+        let (truth, twin) = (&exact.gradient.alpha, &single.gradient.alpha);
+        h.close("gradient by alpha", &device, truth, Some(twin), bound(truth));
+        // One quotient's rounding.
+        let bound = Bound { absolute: 1e-30, relative: 2e-6 };
+        let (truth, twin) = (&exact.gradient.depth, &single.gradient.depth);
+        h.close("gradient by depth", &answer.depth, truth, Some(twin), bound);
+        Ok(())
+    }
+
+    /// Two separable windows of 11, four sums one way and three the other, for each channel. Every value
+    /// between the three passes is written once and read once; images and reference once per pass.
+    fn work(&self) -> Work {
+        let pixels = u64::from(self.input.width) * u64::from(self.input.height);
+        let values = 3 * pixels;
+        Work {
+            bytes: values * 4 * 2 * (4 + 3) + pixels * 4 * (2 * 5 + 1 + 4),
+            operations: values * (4 + 3) * 2 * 2 * 11,
+        }
+    }
+}
+
+/// The device's results, without a comparison.
+fn run(harness: &mut Harness, input: Input) -> Result<Answer> {
+    let mut workload = LossWorkload::new(harness, input, TEXTURED)?;
+    let mut recorder = harness.stream.record()?;
+    workload.record_before(&mut recorder)?;
+    workload.record(&mut recorder)?;
+    harness.stream.submit(recorder)?;
+    workload.answer(&mut harness.stream)
 }
 
 /// SSIM's variances are differences of means of squares, each rounded by 1e-7, over at least
@@ -196,46 +291,14 @@ fn run(harness: &mut Harness, input: &Input) -> Result<Answer> {
 const TEXTURED: f64 = 4e-6;
 const FLAT: f64 = 1e-4;
 
-fn compare(harness: &mut Harness, what: &str, input: &Input) -> Result<Answer> {
+fn compare(harness: &mut Harness, what: &str, input: Input) -> Result<Answer> {
     compare_within(harness, what, input, TEXTURED)
 }
 
-fn compare_within(harness: &mut Harness, what: &str, input: &Input, share: f64) -> Result<Answer> {
-    let answer = run(harness, input)?;
-    let (exact, single) = (truth::<f64>(input), truth::<f32>(input));
-    let value = |l: f64, s: f64, d: f64| vec![l, s, d];
-    let scale = f64::from(input.settings.depth_scale);
-    let mean = |depth: f64| if scale > 0.0 { depth / scale } else { 0.0 };
-    let device = value(answer.value.l1, answer.value.ssim, answer.value.disparity);
-    let device: Vec<f32> = device.into_iter().map(|v| v as f32).collect();
-    let truth = value(exact.l1, exact.ssim, mean(exact.depth));
-    let twin = value(single.l1.f64(), single.ssim.f64(), mean(single.depth.f64()));
-    let twin: Vec<f32> = twin.into_iter().map(|v| v as f32).collect();
-    let bound = Bound { absolute: share, relative: 0.0 };
-    harness.close(&format!("{what}: value"), &device, &truth, Some(&twin), bound);
-
-    let largest = exact.gradient.rgb.as_flattened().iter().fold(0.0f64, |m, v| m.max(v.abs()));
-    let bound = Bound { absolute: share * largest + 1e-30, relative: share };
-    let device: Vec<f32> = answer.rgba.iter().flat_map(|p| [p[0], p[1], p[2]]).collect();
-    harness.close(
-        &format!("{what}: gradient by colour"),
-        &device,
-        exact.gradient.rgb.as_flattened(),
-        Some(single.gradient.rgb.as_flattened()),
-        bound,
-    );
-    let largest = exact.gradient.alpha.iter().fold(0.0f64, |m, v| m.max(v.abs()));
-    let bound = Bound { absolute: share * largest + 1e-30, relative: share };
-    let device: Vec<f32> = answer.rgba.iter().map(|p| p[3]).collect();
-    let output = format!("{what}: gradient by alpha");
-    let (alpha, twin) = (&exact.gradient.alpha, &single.gradient.alpha);
-    harness.close(&output, &device, alpha, Some(twin), bound);
-    // One quotient's rounding.
-    let bound = Bound { absolute: 1e-30, relative: 2e-6 };
-    let output = format!("{what}: gradient by depth");
-    let (depth, twin) = (&exact.gradient.depth, &single.gradient.depth);
-    harness.close(&output, &answer.depth, depth, Some(twin), bound);
-    Ok(answer)
+fn compare_within(harness: &mut Harness, what: &str, input: Input, share: f64) -> Result<Answer> {
+    let mut workload = LossWorkload::new(harness, input, share)?;
+    harness.execute_on(what, &mut workload)?;
+    workload.answer(&mut harness.stream)
 }
 
 fn sizes(harness: &mut Harness) -> Result<()> {
@@ -243,7 +306,7 @@ fn sizes(harness: &mut Harness) -> Result<()> {
         [(1, 1), (2, 1), (1, 9), (17, 3), (8, 8), (64, 48), (131, 67), (4097, 2), (5, 300)]
     {
         let input = input(harness, width, height);
-        compare(harness, &format!("{width}×{height}"), &input)?;
+        compare(harness, &format!("{width}×{height}"), input)?;
     }
     Ok(())
 }
@@ -252,7 +315,7 @@ fn shares(harness: &mut Harness) -> Result<()> {
     for share in [0.0, 0.5, 1.0] {
         let mut input = input(harness, 41, 29);
         input.settings.ssim_share = share;
-        compare(harness, &format!("share {share}"), &input)?;
+        compare(harness, &format!("share {share}"), input)?;
     }
     Ok(())
 }
@@ -261,15 +324,15 @@ fn shares(harness: &mut Harness) -> Result<()> {
 fn weights(harness: &mut Harness) -> Result<()> {
     let mut some = input(harness, 41, 29);
     some.weights = Some(random_weights(harness, 41, 29));
-    compare(harness, "some", &some)?;
+    compare(harness, "some", some.clone())?;
     let mut lone = Image::new(41, 29, 1);
     lone.pixels[41 * 14 + 20] = 1.0;
     some.weights = Some(lone);
-    compare(harness, "one pixel", &some)?;
+    compare(harness, "one pixel", some.clone())?;
     some.weights = Some(Image::new(41, 29, 1));
     some.known = Some(vec![[0.3, 0.0]; 41 * 29]);
     some.settings.depth_scale = 1.0;
-    let answer = compare(harness, "none", &some)?;
+    let answer = compare(harness, "none", some)?;
     let nothing = LossValue { l1: 0.0, ssim: 0.0, disparity: 0.0 };
     harness.holds("none: no loss", answer.value == nothing);
     let zero = answer.rgba.as_flattened().iter().chain(&answer.depth).all(|&g| g == 0.0);
@@ -292,7 +355,7 @@ fn central_differences(harness: &mut Harness) -> Result<()> {
     }
     let known = |_| [harness.rng.random_range(0.05f32..3.0), harness.rng.random_range(0.1..2.0)];
     input.known = Some((0..13 * 9).map(known).collect());
-    let answer = run(harness, &input)?;
+    let answer = run(harness, input.clone())?;
     let mut pixels = rendered::<f64>(&input);
     let mut slope = |at: &dyn Fn(&mut Pixels<f64>) -> &mut f64| {
         let start = *at(&mut pixels);
@@ -331,7 +394,7 @@ fn flat_images(harness: &mut Harness) -> Result<()> {
         input.settings.background = [0.0; 3];
         input.photo.pixels.fill(photo);
         input.rendered.rgb.fill([rendered; 3]);
-        compare_within(harness, what, &input, FLAT)?;
+        compare_within(harness, what, input, FLAT)?;
     }
     let mut equal = input(harness, 37, 23);
     equal.rendered.alpha.fill(1.0);
@@ -339,7 +402,7 @@ fn flat_images(harness: &mut Harness) -> Result<()> {
         *rgb = std::array::from_fn(|c| byte(equal.photo.pixels[3 * i + c]) as f32);
     }
     // The signs of differences within rounding are arbitrary, so only the value is compared.
-    let value = run(harness, &equal)?.value;
+    let value = run(harness, equal)?.value;
     let device = [value.l1 as f32, value.ssim as f32];
     let bound = Bound { absolute: 2e-6, relative: 0.0 };
     harness.close("equal images: value", &device, &[0.0, 1.0], None, bound);
@@ -364,7 +427,7 @@ fn disparity(harness: &mut Harness) -> Result<()> {
         for i in (5..count).step_by(7) {
             input.rendered.depth[i] = 0.0;
         }
-        compare(harness, &format!("{width}×{height}"), &input)?;
+        compare(harness, &format!("{width}×{height}"), input)?;
     }
     Ok(())
 }

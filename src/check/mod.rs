@@ -47,6 +47,7 @@ pub use contract::{HARD, QUICK};
 pub use expect::{EXPECTED, Expect, Verdict, verdict};
 pub use finding::{Bound, Finding};
 pub use harness::{Guarded, Harness};
+pub(crate) use workload::Pass;
 pub use workload::Workload;
 
 use crate::error::{Error, Result};

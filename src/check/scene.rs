@@ -144,7 +144,7 @@ pub struct Forward {
     /// Gaussian indices, sorted by depth.
     pub splat_from_rank: Vec<u32>,
     /// Index of the first intersection, by depth rank.
-    pub rank_offsets: Vec<u32>,
+    pub emitted_from_rank: Vec<u32>,
     /// Tile by intersection, as emitted.
     pub tiles: Vec<u32>,
     /// Gaussian by intersection, as emitted.
@@ -242,7 +242,10 @@ impl Frame {
         poison(r, &mut [&mut s.means, &mut s.conics, &mut s.colours, &mut p.rgba]);
         poison(r, &mut [&mut s.rectangles, &mut s.ranges]);
         poison(r, &mut [&mut p.depth]);
-        poison(r, &mut [&mut s.tile_counts, &mut s.visible, &mut s.compact_offsets, &mut s.keys]);
+        poison(
+            r,
+            &mut [&mut s.tile_counts, &mut s.visible, &mut s.visible_from_splat, &mut s.keys],
+        );
         poison(
             r,
             &mut [
@@ -254,7 +257,12 @@ impl Frame {
         );
         poison(
             r,
-            &mut [&mut s.rank_offsets, &mut s.tiles, &mut s.emitted, &mut s.splat_from_emitted],
+            &mut [
+                &mut s.emitted_from_rank,
+                &mut s.tiles,
+                &mut s.emitted,
+                &mut s.splat_from_emitted,
+            ],
         );
         poison(
             r,
@@ -267,7 +275,7 @@ impl Frame {
         let (n, area) = (self.gaussians.len, self.area());
         let m = counts.intersections.min(self.capacity);
         let (s, p) = (&self.inner.scratch, &self.inner.pixels);
-        for buffer in [&s.compact_offsets, &s.rank_counts] {
+        for buffer in [&s.visible_from_splat, &s.rank_counts] {
             read(stream, buffer, n)?;
         }
         for buffer in [&s.keys, &s.splat_from_visible, &s.sorted_keys] {
@@ -285,7 +293,7 @@ impl Frame {
             counts: [counts.visible as u32, counts.intersections as u32],
             fits: stream.download(&s.fits)? == [1],
             splat_from_rank: read(stream, &s.splat_from_rank, counts.visible)?,
-            rank_offsets: read(stream, &s.rank_offsets, n)?,
+            emitted_from_rank: read(stream, &s.emitted_from_rank, n)?,
             tiles: read(stream, &s.tiles, m)?,
             splat_from_emitted: read(stream, &s.splat_from_emitted, m)?,
             sorted_tiles: read(stream, &s.sorted_tiles, m)?,
@@ -386,7 +394,7 @@ impl Forward {
         Bins {
             grid: grid(width, height),
             splat_from_rank: self.splat_from_rank.clone(),
-            offsets: self.rank_offsets[..self.splat_from_rank.len()].to_vec(),
+            emitted_from_rank: self.emitted_from_rank[..self.splat_from_rank.len()].to_vec(),
             tiles: self.sorted_tiles.clone(),
             splat_from_sorted: (self.emitted_from_sorted.iter())
                 .map(|&at| self.splat_from_emitted[at as usize])

@@ -5,6 +5,15 @@ use crate::error::Result;
 use crate::gpu::Recorder;
 use crate::types::Work;
 
+/// A pass of an op that has gradients.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Pass {
+    /// From inputs to outputs.
+    Forward,
+    /// From the gradients of the outputs to those of the inputs.
+    Backward,
+}
+
 /// An op with its inputs and outputs on the device. It is declared once: a case runs it on hard inputs, a
 /// benchmark on large ones.
 pub trait Workload {
@@ -13,6 +22,15 @@ pub trait Workload {
     /// # Errors
     /// As for recording the ops.
     fn record_before(&mut self, _: &mut Recorder) -> Result<()> {
+        Ok(())
+    }
+
+    /// Records what restores the inputs that the op changes in place. It runs before each run and is not
+    /// timed.
+    ///
+    /// # Errors
+    /// As for recording a copy.
+    fn record_inputs(&mut self, _: &mut Recorder) -> Result<()> {
         Ok(())
     }
 

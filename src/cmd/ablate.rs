@@ -34,8 +34,8 @@ Reconstructs the clip with everything, then with one component off at a time, po
   blending          each Gaussian follows one control point
   arap              nothing keeps the control points' motion as rigid as possible
   lifespans         what comes or goes is there in all frames
-  aside             no pictures from aside in training
-  flanks            pictures from aside show nothing of movers that their own frame does not
+  aside             no offset views in training
+  flanks            offset views show nothing of movers that their own frame does not
   movers-depth      the depth term leaves movers out
   depth             no depth term
   growth            no Gaussians are added or moved to where they are needed

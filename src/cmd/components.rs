@@ -58,12 +58,12 @@ pub const COMPONENTS: [Component; 17] = [
     },
     Component {
         name: "aside",
-        without: "no pictures from aside in training",
+        without: "no offset views in training",
         switch: Train(|settings| settings.aside = 0.0),
     },
     Component {
         name: "flanks",
-        without: "pictures from aside show nothing of movers that their own frame does not",
+        without: "offset views show nothing of movers that their own frame does not",
         switch: Train(|settings| settings.flanks = false),
     },
     Component {

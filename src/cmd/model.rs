@@ -247,7 +247,7 @@ fn gaussians(scene: &Scene, settings: &SequenceSettings) -> Choice {
 fn aside(frames: usize, settings: &SequenceSettings) -> Choice {
     let pictures = settings.pictures_aside(frames);
     let because = format!("{} for each frame in a round of training", settings.aside);
-    Choice::new("pictures from aside", pictures.to_string(), because)
+    Choice::new("offset views", pictures.to_string(), because)
 }
 
 #[cfg(test)]

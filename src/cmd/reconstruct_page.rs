@@ -17,7 +17,7 @@ use super::{camera_maps, page, player};
 
 const CURVES: Curves = Curves {
     between: "Up to the upright line the static world is trained alone, from there on all.",
-    about: "Each point is of one picture, of the input or from aside, so that points scatter as pictures differ.",
+    about: "Each point is of one training view or one offset view, so that points scatter as views differ.",
 };
 
 /// Contents of the page.

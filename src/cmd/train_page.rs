@@ -15,7 +15,7 @@ use super::{page, player};
 
 const CURVES: Curves = Curves {
     between: "Up to the upright line all stands still (the warm-up), from there on it moves.",
-    about: "Each point is of one picture, so that points scatter as pictures differ.",
+    about: "Each point is of one training view, so that points scatter as views differ.",
 };
 
 /// Contents of the page.

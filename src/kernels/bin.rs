@@ -12,8 +12,8 @@ kernel! {
     args: CompactArgs {
         /// 1 for a visible Gaussian, else 0.
         visible: Read<u32>,
-        /// Exclusive sums of `visible`.
-        offsets: Read<u32>,
+        /// Exclusive sums of `visible`: where a visible Gaussian stands in the list.
+        visible_from_splat: Read<u32>,
         /// Splat means; z is the depth.
         means: Read<[f32; 4]>,
         /// The bits of the depth as an unsigned integer.
@@ -66,8 +66,8 @@ kernel! {
         splat_from_rank: Read<u32>,
         /// Number of tiles of each Gaussian, by depth rank.
         counts: Read<u32>,
-        /// Exclusive sums of `counts`.
-        offsets: Read<u32>,
+        /// Exclusive sums of `counts`: the first intersection of each rank.
+        emitted_from_rank: Read<u32>,
         /// From `project/forward`.
         rectangles: Read<[u32; 2]>,
         /// From `project/forward`.

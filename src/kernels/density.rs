@@ -43,8 +43,8 @@ kernel! {
         dead: Read<u32>,
         /// Exclusive prefix sums of `dead`.
         dead_prefix: Read<u32>,
-        /// The slots.
-        slots: Write<u32>,
+        /// Row of each slot.
+        row_from_slot: Write<u32>,
     }
 }
 
@@ -66,10 +66,10 @@ kernel! {
         weight_prefix: Read<u32>,
         /// Sum of the weights; number of slots.
         totals: Read<u32>,
-        /// Rows to fill.
-        slots: Read<u32>,
+        /// Row that each slot fills.
+        row_from_slot: Read<u32>,
         /// Row that each slot copies, or `u32::MAX` for none.
-        targets: Write<u32>,
+        target_from_slot: Write<u32>,
         /// How often each Gaussian was drawn; must be zero before.
         drawn: ReadWrite<u32>,
         /// 1 for a Gaussian that was drawn or replaced; must be zero before.
@@ -106,10 +106,10 @@ kernel! {
     args: CopyArgs {
         /// Sum of the weights; number of slots.
         totals: Read<u32>,
-        /// Rows to fill.
-        slots: Read<u32>,
-        /// Rows to copy.
-        targets: Read<u32>,
+        /// Row that each slot fills.
+        row_from_slot: Read<u32>,
+        /// Row that each slot copies, or `u32::MAX` for none.
+        target_from_slot: Read<u32>,
         /// The array.
         values: ReadWrite<f32>,
     }
@@ -207,7 +207,7 @@ kernel! {
         /// Survivors; candidates to add; receives the final number of rows.
         totals: ReadWrite<u32>,
         /// Source row, and in the two upper bits 0 for a survivor, 1 for a copy, 2 for a part.
-        rows: Write<u32>,
+        source_from_row: Write<u32>,
     }
 }
 
@@ -223,8 +223,8 @@ kernel! {
     args: GatherArgs {
         /// As [`Layout`] leaves them.
         totals: Read<u32>,
-        /// The new rows.
-        rows: Read<u32>,
+        /// The source of each new row, as [`Layout`] writes it.
+        source_from_row: Read<u32>,
         /// The old array.
         values: Read<f32>,
         /// The new array.
@@ -246,8 +246,8 @@ kernel! {
     args: PartsArgs {
         /// As [`Layout`] leaves them.
         totals: Read<u32>,
-        /// The new rows.
-        rows: Read<u32>,
+        /// The source of each new row, as [`Layout`] writes it.
+        source_from_row: Read<u32>,
         /// Quaternions, in the new order.
         rotations: Read<[f32; 4]>,
         /// Centres, in the new order.

@@ -131,8 +131,8 @@ kernel! {
         splat_from_rank: Read<u32>,
         /// Number of tiles of each Gaussian, by depth rank.
         counts: Read<u32>,
-        /// Exclusive sums of `counts`.
-        offsets: Read<u32>,
+        /// Exclusive sums of `counts`: the first intersection of each rank.
+        emitted_from_rank: Read<u32>,
         /// From `raster/backward`.
         slots_a: Read<[f32; 4]>,
         /// From `raster/backward`.

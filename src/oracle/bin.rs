@@ -13,7 +13,7 @@ pub struct Bins {
     /// The drawn splats by (depth, index).
     pub splat_from_rank: Vec<u32>,
     /// Index of the first pair of each splat of `splat_from_rank`, before the pairs are sorted by tile.
-    pub offsets: Vec<u32>,
+    pub emitted_from_rank: Vec<u32>,
     /// Tile of each pair, ascending: row · columns + column.
     pub tiles: Vec<u32>,
     /// Splat of each pair; within a tile front to back.
@@ -39,7 +39,7 @@ pub fn bin<R: Real>(
     let (_, splat_from_rank) = sort::by_bits(&keys, &drawn, 0..32);
 
     let counts: Vec<u32> = splat_from_rank.iter().map(|&i| at(i).tile_count).collect();
-    let offsets = scan::exclusive(&counts);
+    let emitted_from_rank = scan::exclusive(&counts);
     let (mut tiles, mut owners) = (Vec::new(), Vec::new());
     for &i in &splat_from_rank {
         for [column, row] in at(i).tiles(settings, width, height) {
@@ -56,7 +56,7 @@ pub fn bin<R: Real>(
         }
         range[1] = pair as u32 + 1;
     }
-    Bins { grid, splat_from_rank, offsets, tiles, splat_from_sorted, ranges }
+    Bins { grid, splat_from_rank, emitted_from_rank, tiles, splat_from_sorted, ranges }
 }
 
 #[cfg(test)]
@@ -103,7 +103,7 @@ mod tests {
         let bins = bin(&splats, &SETTINGS, size[0], size[1]);
         assert_eq!(bins.grid, [3, 2]);
         assert_eq!(bins.splat_from_rank, [4, 2, 3, 0]);
-        assert_eq!(bins.offsets, [0, 1, 3, 4]);
+        assert_eq!(bins.emitted_from_rank, [0, 1, 3, 4]);
         assert_eq!(bins.tiles, [0, 0, 0, 1, 5]);
         assert_eq!(bins.splat_from_sorted, [2, 3, 0, 2, 4]);
         assert_eq!(bins.ranges, [[0, 3], [3, 4], [0, 0], [0, 0], [0, 0], [4, 5]]);

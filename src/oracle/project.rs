@@ -23,7 +23,7 @@ use rayon::prelude::*;
 pub const LARGEST: f64 = 1e18;
 
 /// Shorter quaternions count as zero, and their Gaussian is culled.
-pub const MIN_QUATERNION: f64 = 1e-10;
+pub const LEAST_QUATERNION: f64 = 1e-10;
 
 /// A Gaussian projected to the image.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -110,7 +110,7 @@ pub(super) fn geometry<R: Real>(
         return None;
     }
     let quaternion = normalise(cloud.rotations[index])
-        .filter(|(length, _)| *length >= R::of(MIN_QUATERNION) && length.is_finite())?;
+        .filter(|(length, _)| *length >= R::of(LEAST_QUATERNION) && length.is_finite())?;
 
     let z = point[2];
     let size = [view.width, view.height].map(|n| R::of(f64::from(n)));

@@ -4,16 +4,16 @@ use super::Real;
 use super::linear::{Vec3, of};
 
 /// Coefficients of the harmonics' polynomials, band by band (Green, "Spherical Harmonic Lighting").
-const C0: f64 = 0.282_094_791_773_878_14;
-const C1: f64 = 0.488_602_511_902_919_9;
-const C2: [f64; 5] = [
+const SH0: f64 = 0.282_094_791_773_878_14;
+const SH1: f64 = 0.488_602_511_902_919_9;
+const SH2: [f64; 5] = [
     1.092_548_430_592_079_2,
     -1.092_548_430_592_079_2,
     0.315_391_565_252_520_05,
     -1.092_548_430_592_079_2,
     0.546_274_215_296_039_6,
 ];
-const C3: [f64; 7] = [
+const SH3: [f64; 7] = [
     -0.590_043_589_926_643_5,
     2.890_611_442_640_554,
     -0.457_045_799_464_465_8,
@@ -26,13 +26,13 @@ const C3: [f64; 7] = [
 /// Values of the 16 harmonics at a unit direction.
 pub fn basis<R: Real>(direction: Vec3<R>) -> [R; 16] {
     let [x, y, z] = direction;
-    let c1 = R::of(C1);
-    let c2: [R; 5] = of(C2);
-    let c3: [R; 7] = of(C3);
+    let c1 = R::of(SH1);
+    let c2: [R; 5] = of(SH2);
+    let c3: [R; 7] = of(SH3);
     let (two, three, four) = (R::of(2.0), R::of(3.0), R::of(4.0));
     let (xx, yy, zz) = (x * x, y * y, z * z);
     [
-        R::of(C0),
+        R::of(SH0),
         -c1 * y,
         c1 * z,
         -c1 * x,
@@ -55,9 +55,9 @@ pub fn basis<R: Real>(direction: Vec3<R>) -> [R; 16] {
 pub fn basis_gradient<R: Real>(direction: Vec3<R>) -> [Vec3<R>; 16] {
     let [x, y, z] = direction;
     let o = R::zero();
-    let c1 = R::of(C1);
-    let c2: [R; 5] = of(C2);
-    let c3: [R; 7] = of(C3);
+    let c1 = R::of(SH1);
+    let c2: [R; 5] = of(SH2);
+    let c3: [R; 7] = of(SH3);
     let [two, three, four, six, eight]: [R; 5] = of([2.0, 3.0, 4.0, 6.0, 8.0]);
     let (xx, yy, zz) = (x * x, y * y, z * z);
     let times = |c: R, g: Vec3<R>| g.map(|v| c * v);

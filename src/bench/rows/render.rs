@@ -8,16 +8,15 @@ use crate::bench::job::{Entry, Job};
 use crate::bench::scenes::{camera, cloud, rng};
 use crate::bench::verify::Check;
 use crate::check::Bound;
+use crate::check::loss::LossWorkload;
 use crate::gpu::Device;
 use crate::ops::gaussians::SH_BAND;
-use crate::ops::loss::{Loss, LossArgs, LossSettings, Reference};
-use crate::oracle::loss::{self, Target};
 use crate::oracle::project::{Splat, project};
 use crate::oracle::raster::{self, Pixels};
 use crate::oracle::view::{Cloud, View};
 use crate::oracle::{render, scan, sort};
 use crate::report::{Place, Work};
-use crate::types::{Image, RenderSettings};
+use crate::types::RenderSettings;
 use rand::RngExt;
 
 /// A stage of the frame.
@@ -70,7 +69,7 @@ pub(super) fn entries(quick: bool) -> Vec<Entry> {
     let images: &[(u32, u32)] = if quick { &[(240, 136)] } else { &[(480, 270), (960, 540)] };
     for &(w, h) in images {
         all.push(Entry::new("loss/photometric", format!("{w}×{h}"), move |d, seed| {
-            photometric(d, seed, w, h)
+            Job::of(d, seed, |harness| LossWorkload::random(harness, w, h))
         }));
     }
     all
@@ -184,7 +183,7 @@ fn check_lists(check: &mut Check, frame: &mut Frame) -> Result<()> {
     let order = sort::by_bits(&keys, &drawn, 0..32).1;
     check.exact("order", &listed.bins.splat_from_rank, &order);
     let counts: Vec<u32> = order.iter().map(|&i| listed.tile_counts[i as usize]).collect();
-    check.exact("offsets", &listed.bins.offsets, &scan::exclusive(&counts));
+    check.exact("first intersections", &listed.bins.emitted_from_rank, &scan::exclusive(&counts));
     let [tiles, owners] = &listed.emitted;
     let whose: Vec<u32> = order
         .iter()
@@ -282,78 +281,4 @@ fn gradients(check: &mut Check, got: &crate::types::Gaussians, truth: &Cloud<f64
     hold("rotation gradients", got.rotations.as_flattened(), truth.rotations.as_flattened());
     hold("opacity gradients", &got.opacity_logits, &truth.opacity_logits);
     hold("harmonics' gradients", got.sh.as_flattened(), truth.sh.as_flattened());
-}
-
-fn photometric(device: &Device, seed: u64, width: u32, height: u32) -> Result<Job> {
-    let mut rng = rng(seed);
-    let count = width as usize * height as usize;
-    let mut photo = Image::new(width, height, 3);
-    // 8-bit levels, as the device stores training images.
-    photo.pixels.iter_mut().for_each(|v| *v = f32::from(rng.random::<u8>()) / 255.0);
-    let rgba: Vec<[f32; 4]> =
-        (0..count).map(|_| std::array::from_fn(|_| rng.random_range(0.0f32..1.0))).collect();
-    let settings = LossSettings { ssim_share: 0.2, background: [0.1, 0.5, 0.9], depth_scale: 0.0 };
-    let frame = crate::ops::render::PixelBuffers {
-        width,
-        height,
-        rgba: device.upload("rendered rgba", &rgba)?,
-        depth: device.upload("rendered depth", &vec![1.0f32; count])?,
-        last: device.buffer("last intersections", 0)?,
-    };
-    let reference = Reference::new(device, &photo, None)?;
-    let mut by_pixel = crate::ops::render::PixelGradients {
-        rgba: device.buffer("rgba gradient", count)?,
-        depth: device.buffer("depth gradient", count)?,
-    };
-    let op = Loss::plan(device, width, height);
-    let mut scratch = op.scratch(device)?;
-    let mut stream = device.stream()?;
-    let mut recorder = stream.record()?;
-    let gradients = &mut by_pixel;
-    let args = LossArgs { rendered: &frame, reference: &reference, disparity: None, gradients };
-    op.record(&mut recorder, &settings, args, &mut scratch)?;
-    stream.submit(recorder)?;
-    let got = stream.download(&by_pixel.rgba)?;
-    let value = op.value(&mut stream, &reference, None, &scratch)?;
-
-    let wide = f64::from;
-    let rgb: Vec<[f64; 3]> =
-        photo.pixels.chunks_exact(3).map(|p| [wide(p[0]), wide(p[1]), wide(p[2])]).collect();
-    let rendered = Pixels {
-        rgb: rgba.iter().map(|v| [wide(v[0]), wide(v[1]), wide(v[2])]).collect(),
-        alpha: rgba.iter().map(|v| wide(v[3])).collect(),
-        depth: vec![1.0; count],
-    };
-    let truth = loss::loss(
-        &rendered,
-        &Target {
-            width,
-            height,
-            rgb: &rgb,
-            background: settings.background.map(wide),
-            weights: None,
-            ssim_share: wide(settings.ssim_share),
-            depth: None,
-            alpha: None,
-        },
-    );
-    let mut check = Check::new();
-    let bound = Bound { absolute: 4e-6, relative: 0.0 };
-    check.close("value", &[value.l1 as f32, value.ssim as f32], &[truth.l1, truth.ssim], bound);
-    let largest = truth.gradient.rgb.as_flattened().iter().fold(0.0f64, |m, v| m.max(v.abs()));
-    let device_rgb: Vec<f32> = got.iter().flat_map(|p| [p[0], p[1], p[2]]).collect();
-    // As the cases of `loss`.
-    let bound = Bound { absolute: 4e-6 * largest, relative: 4e-6 };
-    check.close("gradient", &device_rgb, truth.gradient.rgb.as_flattened(), bound);
-    // Two separable windows of 11, four sums one way and three the other, for each channel; every
-    // value between the three passes once out and once in, images and reference once per pass.
-    let values = 3 * count as u64;
-    let bytes = values * 4 * 2 * (4 + 3) + count as u64 * 4 * (2 * 5 + 1 + 4);
-    let work = Work { bytes, operations: values * (4 + 3) * 2 * 2 * 11 };
-    Job::recorded(device, check.accuracy(), work, move |recorder| {
-        let s = &mut scratch;
-        let gradients = &mut by_pixel;
-        let args = LossArgs { rendered: &frame, reference: &reference, disparity: None, gradients };
-        op.record(recorder, &settings, args, s)
-    })
 }

@@ -51,7 +51,7 @@ pub struct Adaptation {
     kept_prefix: Buffer<u32>,
     added_prefix: Buffer<u32>,
     totals: Buffer<u32>,
-    rows: Buffer<u32>,
+    source_from_row: Buffer<u32>,
 }
 
 /// Inputs of the decision.
@@ -87,7 +87,7 @@ impl Adaptation {
             kept_prefix: words("adaptation survivor sums")?,
             added_prefix: words("adaptation added sums")?,
             totals: device.buffer("adaptation totals", 3)?,
-            rows: words("adaptation rows")?,
+            source_from_row: words("adaptation rows")?,
         })
     }
 
@@ -154,7 +154,7 @@ impl Adaptation {
                 kept_prefix: self.kept_prefix.view(),
                 added_prefix: self.added_prefix.view(),
                 totals: self.totals.view_mut(),
-                rows: self.rows.view_mut(),
+                source_from_row: self.source_from_row.view_mut(),
             },
         )
     }
@@ -182,7 +182,7 @@ impl Adaptation {
             kernels::GatherParams { width: width as u32, fresh_zero: u32::from(moments) },
             kernels::GatherArgs {
                 totals: self.totals.view(),
-                rows: self.rows.view(),
+                source_from_row: self.source_from_row.view(),
                 values,
                 gathered,
             },
@@ -218,7 +218,7 @@ impl Adaptation {
             },
             kernels::PartsArgs {
                 totals: self.totals.view(),
-                rows: self.rows.view(),
+                source_from_row: self.source_from_row.view(),
                 rotations,
                 positions,
                 log_scales,
@@ -233,7 +233,7 @@ impl Adaptation {
 
     /// For each new row the index of its source row, and in the two upper bits 0 for a survivor, 1 for a
     /// copy, 2 for a part of a split Gaussian.
-    pub fn rows(&self) -> View<'_, u32> {
-        self.rows.view()
+    pub fn source_from_row(&self) -> View<'_, u32> {
+        self.source_from_row.view()
     }
 }

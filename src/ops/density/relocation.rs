@@ -52,8 +52,8 @@ pub struct Relocation {
     weight_prefix: Buffer<u32>,
     dead_prefix: Buffer<u32>,
     totals: Buffer<u32>,
-    slots: Buffer<u32>,
-    targets: Buffer<u32>,
+    row_from_slot: Buffer<u32>,
+    target_from_slot: Buffer<u32>,
     drawn: Buffer<u32>,
     touched: Buffer<u32>,
 }
@@ -95,8 +95,8 @@ impl Relocation {
             weight_prefix: words("relocation weight sums")?,
             dead_prefix: words("relocation dead sums")?,
             totals: device.buffer("relocation totals", 2)?,
-            slots: words("relocation slots")?,
-            targets: words("relocation targets")?,
+            row_from_slot: words("relocation slots")?,
+            target_from_slot: words("relocation targets")?,
             drawn: words("relocation draws")?,
             touched: words("relocation touched")?,
         })
@@ -197,7 +197,7 @@ impl Relocation {
             kernels::SlotsArgs {
                 dead: self.dead.view(),
                 dead_prefix: self.dead_prefix.view(),
-                slots: self.slots.view_mut(),
+                row_from_slot: self.row_from_slot.view_mut(),
             },
         )?;
         recorder.dispatch::<kernels::Draw>(
@@ -211,8 +211,8 @@ impl Relocation {
             kernels::DrawArgs {
                 weight_prefix: self.weight_prefix.view(),
                 totals: self.totals.view(),
-                slots: self.slots.view(),
-                targets: self.targets.view_mut(),
+                row_from_slot: self.row_from_slot.view(),
+                target_from_slot: self.target_from_slot.view_mut(),
                 drawn: self.drawn.view_mut(),
                 touched: self.touched.view_mut(),
             },
@@ -248,8 +248,8 @@ impl Relocation {
             kernels::CopyParams { width: width as u32 },
             kernels::CopyArgs {
                 totals: self.totals.view(),
-                slots: self.slots.view(),
-                targets: self.targets.view(),
+                row_from_slot: self.row_from_slot.view(),
+                target_from_slot: self.target_from_slot.view(),
                 values,
             },
         )
@@ -290,13 +290,13 @@ impl Relocation {
         self.totals.view()
     }
 
-    /// The rows that the last round filled; [`totals`](Self::totals) gives their number.
-    pub fn slots(&self) -> View<'_, u32> {
-        self.slots.view()
+    /// The row that each slot of the last round fills; [`totals`](Self::totals) gives their number.
+    pub fn row_from_slot(&self) -> View<'_, u32> {
+        self.row_from_slot.view()
     }
 
     /// The row that each slot copies; `u32::MAX` where the slot does not change.
-    pub fn targets(&self) -> View<'_, u32> {
-        self.targets.view()
+    pub fn target_from_slot(&self) -> View<'_, u32> {
+        self.target_from_slot.view()
     }
 }

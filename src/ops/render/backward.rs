@@ -215,7 +215,7 @@ impl Frame<FrameGradients> {
                 visible_count: s.visible_count.view(),
                 splat_from_rank: s.splat_from_rank.view(),
                 counts: s.rank_counts.view(),
-                offsets: s.rank_offsets.view(),
+                emitted_from_rank: s.emitted_from_rank.view(),
                 slots_a: b.slots_a.view(),
                 slots_b: b.slots_b.view(),
                 slots_c: b.slots_c.view(),
