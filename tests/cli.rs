@@ -1102,6 +1102,12 @@ fn what_does_not_fit_is_told_before_the_work() {
         &said,
         &["1,000,000,000 Gaussians does not fit", "Gaussians would fit", "--max-gaussians"],
     );
+    let said = fails(
+        folder.path(),
+        1,
+        "train set -o x --random-points 50 --max-gaussians 1000000000 --view",
+    );
+    says(&said, &["with a page does not fit", "or leave out --view"]);
     let found = json(folder.path(), "train set -o x --random-points 50 --steps 2");
     let (foreseen, taken) = (&found["predicted_bytes"], &found["peak_bytes"]);
     assert!(foreseen.as_u64() > Some(1 << 20) && taken.as_u64() > Some(1 << 20), "{found}");

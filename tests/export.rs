@@ -15,7 +15,10 @@ use splat4d::gpu::{Device, Request, Selector};
 use splat4d::renderer::Renderer;
 use splat4d::scene::{Format, Scene, ply, spz};
 use splat4d::types::Gaussians;
-use splats::{Apart, apart, cloud, moving, transformed};
+use splats::{
+    Apart, SPZ_IN_GLB, SplatV, apart, attributes, cloud, glb, moving, spz_in_glb, transformed,
+    validated,
+};
 use support::{says, shared};
 
 fn open(path: &Path) -> Gaussians {
@@ -338,40 +341,6 @@ fn hostile_files_are_refused() {
     says(&support::message(Scene::open(&path, false)), &["a.splat", "33 bytes"]);
 }
 
-/// The attributes of a `.glb` by name: the number of components of each, and its values.
-fn attributes(path: &Path) -> std::collections::BTreeMap<String, (usize, Vec<f32>)> {
-    let bytes = fs::read(path).unwrap();
-    let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()) as usize;
-    assert_eq!((&bytes[..4], word(4), word(8)), (&b"glTF"[..], 2, bytes.len()));
-    let (json, length) = (&bytes[20..20 + word(12)], word(12));
-    assert_eq!((&bytes[16..20], &bytes[24 + length..28 + length]), (&b"JSON"[..], &b"BIN\0"[..]));
-    let binary = &bytes[28 + length..];
-    let json: serde_json::Value = serde_json::from_slice(json).unwrap();
-    assert_eq!(json["extensionsUsed"], serde_json::json!(["KHR_gaussian_splatting"]));
-    let primitive = &json["meshes"][0]["primitives"][0];
-    let splatting = &primitive["extensions"]["KHR_gaussian_splatting"];
-    assert_eq!((&splatting["kernel"], &primitive["mode"]), (&"ellipse".into(), &0.into()));
-    assert_eq!(splatting["colorSpace"], "srgb_rec709_display");
-    let of = |(name, index): (&String, &serde_json::Value)| {
-        let accessor = &json["accessors"][index.as_u64().unwrap() as usize];
-        let view = &json["bufferViews"][accessor["bufferView"].as_u64().unwrap() as usize];
-        let number = |key: &str| view[key].as_u64().unwrap() as usize;
-        let data = &binary[number("byteOffset")..][..number("byteLength")];
-        let values = match accessor["componentType"].as_u64() {
-            Some(5126) => data.as_chunks().0.iter().map(|b| f32::from_le_bytes(*b)).collect(),
-            Some(5121) => data.iter().map(|b| f32::from(*b) / 255.0).collect::<Vec<f32>>(),
-            other => panic!("{other:?}"),
-        };
-        let parts = match accessor["type"].as_str().unwrap() {
-            "SCALAR" => 1,
-            kind => kind[3..].parse().unwrap(),
-        };
-        assert_eq!(values.len(), parts * accessor["count"].as_u64().unwrap() as usize);
-        (name.clone(), (parts, values))
-    };
-    primitive["attributes"].as_object().unwrap().iter().map(of).collect()
-}
-
 /// Converts an sRGB value to linear light.
 fn linear(value: f32) -> f32 {
     if value <= 0.04045 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) }
@@ -388,6 +357,24 @@ fn turned(a: &[f32], b: &[f32]) -> f32 {
     1.0 - halves.iter().map(dot).fold(0.0, f32::max)
 }
 
+/// Checks that Khronos' validator objects only to what the extension adds, which it does not know.
+#[track_caller]
+fn is_valid_gltf(path: &Path) {
+    let report = validated(path);
+    let messages = report["issues"]["messages"].as_array().unwrap();
+    assert!(!messages.is_empty() && report["issues"]["truncated"] == false, "{report}");
+    for message in messages {
+        let pointer = message["pointer"].as_str().unwrap();
+        let known = match message["code"].as_str().unwrap() {
+            "UNSUPPORTED_EXTENSION" => pointer.starts_with("/extensionsUsed"),
+            "MESH_PRIMITIVE_INVALID_ATTRIBUTE" => pointer.contains("/KHR_gaussian_splatting:"),
+            "UNUSED_OBJECT" => pointer == "/bufferViews/0",
+            _ => false,
+        };
+        assert!(known, "{message}");
+    }
+}
+
 /// Another program writes the same glTF attributes for the same Gaussians.
 #[test]
 fn gltf_is_as_another_program_writes_it() {
@@ -396,6 +383,7 @@ fn gltf_is_as_another_program_writes_it() {
     let g = cloud(3);
     ply::write(at("a.ply"), &g).unwrap();
     json(folder.path(), "export a.ply -o ours.glb");
+    is_valid_gltf(&at("ours.glb"));
     let ours = attributes(&at("ours.glb"));
     let theirs = attributes(&transformed(&at("a.ply"), &at("theirs.glb"), &[]));
     assert_eq!(ours.len(), 5 + 16);
@@ -428,12 +416,65 @@ fn gltf_is_as_another_program_writes_it() {
     }
 }
 
-/// The half float at byte `at`.
-fn half(bytes: &[u8], at: usize) -> f64 {
-    half::f16::from_le_bytes([bytes[at], bytes[at + 1]]).to_f64()
+/// The SPZ in a `.glb` is read by the format's reference library; what stands around it is as the extension
+/// says.
+#[test]
+fn gltf_holds_an_spz() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let g = cloud(2);
+    ply::write(at("a.ply"), &g).unwrap();
+    let answer = json(folder.path(), "export a.ply -o a.glb --spz");
+    assert_eq!((&answer["format"], &answer["gaussians"]), (&"glb".into(), &700.into()));
+    is_valid_gltf(&at("a.glb"));
+    let (json, binary) = glb(&at("a.glb"));
+    let names = serde_json::json!(["KHR_gaussian_splatting", SPZ_IN_GLB]);
+    assert_eq!((&json["extensionsUsed"], &json["extensionsRequired"]), (&names, &names));
+    let accessors = json["accessors"].as_array().unwrap();
+    assert_eq!(accessors.len(), 5 + 9);
+    assert!(accessors.iter().all(|a| a["count"] == 700 && a["bufferView"].is_null()));
+    let spz = spz_in_glb(&json, &binary);
+    fs::write(at("b.spz"), spz).unwrap();
+    // Of a quaternion, x, y and z have 8 bits each: together they are off by √3 / 255 at most, and w, which
+    // follows from them, by the root of twice that where it is 0.
+    let most = Apart { rotation: 0.0068, ..OF_SPZ };
+    let here = open(&at("b.spz"));
+    within("in glTF, here", &apart(&g, &here), &most);
+    let there = open(&transformed(&at("b.spz"), &at("b.ply"), &[]));
+    within("in glTF, there", &apart(&g, &there), &most);
+    // Bounds are those of the unpacked positions, on glTF's axes: left, up, front.
+    let bound = |name: &str, sign: f32, fold: fn(f32, f32) -> f32| {
+        let x = here.positions.iter().map(|p| -p[0]).reduce(fold).unwrap();
+        let told = json["accessors"][0][name][0].as_f64().unwrap();
+        assert!((told - f64::from(x)).abs() < 1e-6 && sign * x > 0.5, "{told} {x}");
+    };
+    bound("min", -1.0, f32::min);
+    bound("max", 1.0, f32::max);
+    let said = fails(folder.path(), 1, "export a.ply -o a.spz --spz");
+    says(&said, &["a.spz", "no .glb", "--spz"]);
 }
 
-/// This test reads the texture as splaTV's shader does.
+/// Opacities of exactly 0 and 1 have infinite logits.
+#[test]
+fn a_ply_with_infinite_logits_is_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.ply");
+    let mut g = cloud(0);
+    (g.opacity_logits[0], g.opacity_logits[1]) = (f32::NEG_INFINITY, f32::INFINITY);
+    ply::write(&path, &g).unwrap();
+    let read = open(&path);
+    assert!(read.opacity_logits.iter().all(|logit| logit.is_finite()));
+    within(
+        "infinite logits",
+        &apart(&g, &read),
+        &Apart { opacity: 0.0011, rotation: 1e-6, ..Apart::default() },
+    );
+    // Other values that are not finite are still refused.
+    g.opacity_logits[2] = f32::NAN;
+    ply::write(&path, &g).unwrap();
+    says(&support::message(Scene::open(&path, false)), &["a.ply", "1 of"]);
+}
+
 #[test]
 fn a_splatv_moves_as_the_scene() {
     let folder = tempfile::tempdir().unwrap();
@@ -447,38 +488,26 @@ fn a_splatv_moves_as_the_scene() {
     println!("{fit}");
     assert_eq!(fit["moving"], 234);
     assert!(fit["position_rmse"].as_f64() < Some(0.2 * fit["position_spread"].as_f64().unwrap()));
-    let bytes = fs::read(at("a.splatv")).unwrap();
-    let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap());
-    assert_eq!(word(0), 0x674b);
-    let text = &bytes[8..8 + word(4) as usize];
-    let chunks: serde_json::Value = serde_json::from_slice(text).unwrap();
-    let chunk = &chunks[0];
-    assert_eq!((&chunk["type"], &chunk["texwidth"]), (&"splat".into(), &4096.into()));
-    assert_eq!(chunk["cameras"].as_array().unwrap().len(), 5);
-    let texture = &bytes[8 + text.len()..];
-    assert_eq!(chunk["size"], texture.len());
+    let file = SplatV::read(&at("a.splatv"));
+    assert_eq!(file.cameras.as_array().unwrap().len(), 5);
     let device = device();
     let mut renderer = Renderer::new(&device, &scene).unwrap();
     let worst = fit["position_worst"].as_f64().unwrap();
     for time in [0.1, 0.5, 0.9] {
         let posed = renderer.posed(time).unwrap();
         let mut left: Vec<[f32; 3]> = posed.positions.clone();
-        for splat in texture.chunks_exact(64).take(posed.len()) {
-            let float = |c: usize| f32::from_le_bytes(splat[4 * c..4 * c + 4].try_into().unwrap());
-            let t = time - half(splat, 60);
-            let place: [f64; 3] = std::array::from_fn(|c| {
-                let of = |power: usize| half(splat, 32 + 2 * (3 * (power - 1) + c));
-                f64::from(float(c)) + of(1) * t + of(2) * t * t + of(3) * t * t * t
-            });
+        let (shown, presence) = file.at(time);
+        assert_eq!(shown.len(), 700);
+        for (place, presence) in shown.positions.iter().zip(presence) {
             let distance = |p: &[f32; 3]| -> f64 {
-                (0..3).map(|c| (f64::from(p[c]) - place[c]).powi(2)).sum::<f64>().sqrt()
+                (0..3).map(|c| f64::from(p[c] - place[c]).powi(2)).sum::<f64>().sqrt()
             };
             let nearest = (0..left.len())
                 .min_by(|a, b| distance(&left[*a]).total_cmp(&distance(&left[*b])))
                 .unwrap();
             let far = distance(&left.swap_remove(nearest));
             assert!(far < 1.5 * worst + 2e-3, "{far} at {time}, the fit says {worst}");
-            assert!((-(t / half(splat, 62)).powi(2)).exp() > 0.999);
+            assert!(presence > 0.999);
         }
     }
 }

@@ -6,6 +6,8 @@
 #[path = "support/browser.rs"]
 mod browser;
 mod common;
+#[path = "support/player.rs"]
+mod player;
 #[path = "support/program.rs"]
 mod program;
 #[path = "support/splats.rs"]
@@ -15,10 +17,9 @@ mod support;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use base64::Engine;
-use base64::engine::general_purpose::STANDARD;
 use browser::Browser;
 use glam::{DQuat, DVec3};
+use player::{opened, shot, truth};
 use serde_json::{Value, json};
 use splat4d::data::images::{Orientation, decode_rgb};
 use splat4d::eval::psnr;
@@ -82,14 +83,6 @@ fn exported(folder: &Path, name: &str, scene: &Scene) -> (PathBuf, Value) {
     (folder.join(format!("{name}.html")), told)
 }
 
-#[track_caller]
-fn opened(page: &Path, width: u32, height: u32) -> Browser {
-    let mut opened = Browser::open_drawing(page, width, height);
-    opened.wait_for("globalThis.splat4d?.ready");
-    opened.evaluate("splat4d.ready.then(() => true)");
-    opened
-}
-
 /// Waits until drawing has finished. Input is handled before a frame's callbacks, and drawing is done in
 /// such a callback.
 #[track_caller]
@@ -100,36 +93,6 @@ fn settle(page: &mut Browser) {
          do { before = splat4d.frames; await rest(); await frame(); await frame(); } \
          while (splat4d.frames !== before); })()",
     );
-}
-
-fn as_json(camera: &Camera) -> Value {
-    let (k, pose) = (&camera.intrinsics, &camera.view_from_world);
-    let (q, t) = (pose.rotation, pose.translation);
-    json!({
-        "fx": k.fx, "fy": k.fy, "cx": k.cx, "cy": k.cy, "width": k.width, "height": k.height,
-        "view_from_world": [q.w, q.x, q.y, q.z, t.x, t.y, t.z],
-    })
-}
-
-/// The image from `splat4d.shot`; without a camera, from the page's camera.
-#[track_caller]
-fn shot(page: &mut Browser, camera: Option<&Camera>, time: f64, width: u32, height: u32) -> Image {
-    let camera = camera.map_or(Value::Null, as_json);
-    let told = page.evaluate(&format!(
-        "splat4d.shot({camera}, {time}, {width}, {height}).then(({{ data }}) => {{ let text = ''; \
-         for (let i = 0; i < data.length; i += 4) \
-         text += String.fromCharCode(data[i], data[i + 1], data[i + 2]); return btoa(text); }})"
-    ));
-    let bytes = STANDARD.decode(told.as_str().unwrap()).unwrap();
-    let pixels = bytes.into_iter().map(|v| f32::from(v) / 255.0).collect();
-    Image { width, height, channels: 3, pixels }
-}
-
-/// The renderer's image, clamped to the range of a screen.
-fn truth(renderer: &mut Renderer, scene: &Scene, camera: &Camera, time: f64) -> Image {
-    let mut image = renderer.render(camera, time).unwrap().over(scene.background);
-    image.pixels.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
-    image
 }
 
 #[test]

@@ -99,6 +99,23 @@ impl Drop for Work {
     }
 }
 
+/// Mean difference between the input image that the page shows and a file, over channels in [0, 255].
+#[track_caller]
+fn input_from(page: &mut Browser, file: &Path) -> f64 {
+    let told = page.evaluate(
+        "(() => { const c = document.getElementById('input'); \
+         const copy = new OffscreenCanvas(c.width, c.height); \
+         const context = copy.getContext('2d', { willReadFrequently: true }); \
+         context.drawImage(c, 0, 0); \
+         return [...context.getImageData(0, 0, c.width, c.height).data]; })()",
+    );
+    let shown: Vec<f64> = serde_json::from_value(told).unwrap();
+    let filmed = image::open(file).unwrap().into_rgba8().into_raw();
+    assert_eq!(shown.len(), filmed.len());
+    let apart = shown.iter().zip(&filmed).map(|(a, b)| (a - f64::from(*b)).abs());
+    apart.sum::<f64>() / shown.len() as f64
+}
+
 /// A port that was free a moment ago.
 fn free_port() -> u16 {
     TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
@@ -152,7 +169,15 @@ fn the_page_follows_a_training_and_changes_nothing_of_it() {
     page.wait_for("document.querySelectorAll('#loss-curve path').length === 2");
     let text = page.evaluate("document.getElementById('count-text').textContent");
     assert_eq!(text, json!("700"));
-    assert_eq!(page.evaluate("document.getElementById('cameras').options.length"), json!(7));
+    assert_eq!(page.evaluate("document.getElementById('cameras').options.length"), json!(8));
+    // The input beside the scene, at the time of the scene.
+    page.evaluate("document.getElementById('show-input').click()");
+    page.wait_for("document.getElementById('input-name').textContent === 'Input 1 of 8'");
+    let file = |number: usize| folder.path().join(format!("clip/frames/{number:04}.png"));
+    let (first, last) = (input_from(&mut page, &file(0)), input_from(&mut page, &file(7)));
+    assert!(first < 6.0 && last > 3.0 * first, "{first} from the first, {last} from the last");
+    page.evaluate("document.getElementById('next').click()");
+    page.wait_for("document.getElementById('input-name').textContent === 'Input 2 of 8'");
     page.drag([500.0, 400.0], [560.0, 400.0]);
     page.wait_for(&format!(
         "{PICTURE}.shown.asked.camera.view_from_world.some((v, i) => v !== {view}[i])"
@@ -161,6 +186,10 @@ fn the_page_follows_a_training_and_changes_nothing_of_it() {
     page.wait_for(&format!("{STAGE}.startsWith('The work is done')"));
     let report = work.end();
     assert!(report["psnr_input"].is_number());
+    // The prediction holds the page.
+    let [foreseen, taken] =
+        ["predicted_bytes", "peak_bytes"].map(|key| report[key].as_u64().unwrap());
+    assert!(taken <= foreseen, "{taken} bytes taken of {foreseen}");
     std::thread::sleep(Duration::from_secs(1));
     assert!(page.evaluate(STAGE).as_str().unwrap().starts_with("The work is done"));
     let painted = page.evaluate(&format!("{PICTURE}.width * {PICTURE}.height > 1000"));
@@ -189,6 +218,7 @@ fn a_reconstruction_tells_its_stages() {
     let body = text.split_once("\r\n\r\n").unwrap().1;
     let described: Description = serde_json::from_str(body).unwrap();
     assert!(status == 200 && described.live && described.cameras.is_empty(), "{text}");
+    assert_eq!((described.pictures, get(work.port, "/pictures/0").0), (0, 404), "{text}");
     let mut client = Client::open(work.port, "socket").unwrap();
     client.ask(&request(1, camera(64, 36, 0.0), 0.0));
     let mut stages = BTreeSet::new();
@@ -198,6 +228,10 @@ fn a_reconstruction_tells_its_stages() {
             Sent::Told(status) => {
                 stages.insert(status.stage.clone());
                 if status.scenes > last.scenes {
+                    let (_, text) = get(work.port, "/scene.json");
+                    let body = text.split_once("\r\n\r\n").unwrap().1;
+                    let described: Description = serde_json::from_str(body).unwrap();
+                    assert_eq!((described.cameras.len(), described.pictures), (8, 8));
                     client.ask(&request(1 + status.scenes, camera(64, 36, 0.0), 0.5));
                 }
                 assert!(status.done <= status.of && status.scenes >= last.scenes, "{status:?}");

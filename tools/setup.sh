@@ -4,8 +4,8 @@
 #   tools/setup.sh run    what building and running need: linker, Vulkan loader, lavapipe, ffmpeg, Rust
 #   tools/setup.sh test   and what the test suite needs: validation layer, SwiftShader, CMake, the evo,
 #                         scikit-image, onnxruntime, numpy, pytest, snakemake and kubernetes-validate packages, and
-#                         Node.js with PlayCanvas' splat-transform and the packages of the page's player;
-#                         with apt only
+#                         Node.js with PlayCanvas' splat-transform, Khronos' glTF validator and the packages of
+#                         the page's player; with apt only
 #
 # SPLAT4D_NO_RUSTUP=1 makes a missing or too old Rust an error instead of installing it.
 set -euo pipefail
@@ -178,27 +178,23 @@ if [[ $mode == test ]]; then
     # What `batch --emit` writes is run by the one and held against the schemas of the other.
     python_package engines 'import snakemake, kubernetes_validate' \
         'snakemake==9.27.1' 'kubernetes-validate==1.37.0'
-    # What `export` writes is read by another program of the formats, and what that writes is read here.
-    splats=$beside/splats package=@playcanvas/splat-transform version=2.7.1
+    # npm_packages NAME FOLDER: the packages of the lock file in FOLDER, into NAME. No script of a package runs.
+    npm_packages() {
+        local place=$beside/$1 list=$2
+        cmp -s "$list/package-lock.json" "$place/package-lock.json" && [[ -d $place/node_modules ]] && return
+        echo "setup: installing the packages of $list into $place"
+        rm -rf "$place" "$place.part"
+        mkdir -p "$place.part"
+        cp "$list/package.json" "$list/package-lock.json" "$place.part"
+        npm ci --silent --ignore-scripts --no-audit --no-fund --prefix "$place.part" ||
+            fail "npm could not install the packages of $list; is there a network?"
+        mv "$place.part" "$place"
+    }
     node -e "process.exit(Number(process.versions.node.split('.')[0]) < 18 ? 1 : 0)" ||
-        fail "node $(node --version) is too old for $package, 18 is needed; see https://nodejs.org"
-    if ! grep -qs "\"version\": \"$version\"" "$splats/node_modules/$package/package.json"; then
-        echo "setup: installing $package into $splats"
-        mkdir -p "$splats"
-        npm install --silent --no-audit --no-fund --prefix "$splats" "$package@$version" ||
-            fail "npm could not install $package into $splats; is there a network?"
-    fi
-    # The player inside of exported pages is built anew, of the packages in its lock file. No script of a package
-    # runs.
-    player=$beside/player
-    if ! cmp -s tools/player/package-lock.json "$player/package-lock.json" || [[ ! -d $player/node_modules ]]; then
-        echo "setup: installing the player's packages into $player"
-        rm -rf "$player"
-        mkdir -p "$player.part"
-        cp tools/player/package.json tools/player/package-lock.json "$player.part"
-        npm ci --silent --ignore-scripts --no-audit --no-fund --prefix "$player.part" ||
-            fail "npm could not install the player's packages; is there a network?"
-        mv "$player.part" "$player"
-    fi
+        fail "node $(node --version) is too old, 18 is needed; see https://nodejs.org"
+    # What `export` writes is read by other programs of the formats, and what these write is read here.
+    npm_packages splats tools/splats
+    # The player inside of exported pages is built anew.
+    npm_packages player tools/player
 fi
 echo "setup: everything for '$mode' is there (Rust $(rust_version))"

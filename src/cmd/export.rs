@@ -30,7 +30,8 @@ Formats, by the name of FILE:
   .splat           32 bytes a Gaussian, one colour each (antimatter15)
   .spz             about a tenth of a PLY; version 4 holds the motion in an extension that other
                    readers skip: they see the moment --time
-  .glb             glTF with KHR_gaussian_splatting
+  .glb             glTF with KHR_gaussian_splatting; with --spz its Gaussians are an SPZ of version 2,
+                   in the extension KHR_gaussian_splatting_compression_spz_2, which is a draft
   .splatv          what splaTV's players show: motion as a cubic of time for each Gaussian, one
                    colour each; how well the cubics fit is said
   .html            one page that plays the scene in a browser, with nothing from elsewhere: the compact
@@ -49,6 +50,7 @@ SuperSplat plays such a folder, brush such a zip. --as names the format of the f
 Examples:
   splat4d export scene.safetensors -o moment.ply --time 0.5
   splat4d export scene.safetensors -o scene.spz
+  splat4d export scene.safetensors -o moment.glb --time 0.5 --spz
   splat4d export scene.safetensors -o scene.html
   splat4d export scene.safetensors -o small.safetensors --compact
   splat4d export scene.safetensors -o frames --sequence --frames 60 --as compressed.ply
@@ -92,6 +94,9 @@ pub struct ExportArgs {
     /// Version of SPZ
     #[arg(long, value_name = "VERSION", default_value = "4")]
     pub spz_version: SpzVersion,
+    /// Compress the Gaussians of a .glb by SPZ
+    #[arg(long, conflicts_with = "sequence")]
+    pub spz: bool,
     /// Use the compact form of the scene format, with reduced precision
     #[arg(long, conflicts_with = "sequence")]
     pub compact: bool,

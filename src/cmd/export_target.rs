@@ -101,6 +101,7 @@ pub fn target(args: &ExportArgs) -> Result<Target> {
     let bad = |what: &str| Err(Error::format(&args.output, what));
     let found = match Format::of(&args.output) {
         Some(Format::Spz(_)) => Some(Target::Still(Format::Spz(version))),
+        Some(Format::Glb) if args.spz => Some(Target::Still(Format::GlbSpz)),
         Some(format) => Some(Target::Still(format)),
         None if named("splatv") => Some(Target::SplatV),
         None if named("html") => Some(Target::Page),
@@ -122,6 +123,9 @@ pub fn target(args: &ExportArgs) -> Result<Target> {
         }));
     }
     match found {
+        Some(target) if args.spz && target != Target::Still(Format::GlbSpz) => {
+            bad("is no .glb, whose Gaussians --spz compresses: name a .glb")
+        }
         Some(target) if args.compact && target != Target::Scene => {
             bad("is not the scene's own format, which --compact writes: name a .safetensors")
         }

@@ -6,13 +6,15 @@ use std::time::{Duration, Instant};
 
 use clap::Args;
 use splat4d::Result;
-use splat4d::gpu::Device;
+use splat4d::gpu::{Device, Footprint};
+use splat4d::renderer::RenderScale;
 use splat4d::scene::{Scene, SceneCamera};
-use splat4d::types::Tuning;
+use splat4d::train::TrainingScale;
+use splat4d::types::{Image, Tuning};
 use splat4d::view::protocol::Progressed;
-use splat4d::view::{self, Options, Server, Show};
+use splat4d::view::{self, Options, Pictures, Server, Show};
 
-use super::common::say;
+use super::common::{foresee, say, training};
 use super::{path, values};
 
 /// Port of `--view` without a value.
@@ -21,12 +23,14 @@ const USUAL_PORT: &str = "8090";
 const FAREWELL: Duration = Duration::from_millis(1500);
 /// Interval at which this is checked.
 const LOOK: Duration = Duration::from_millis(20);
+/// Image size for which the page's memory is predicted: the largest that it makes.
+const LARGEST: (u32, u32) = (1280, 720);
 
 /// Options of commands with a live view.
 #[derive(Args)]
 pub struct LiveArgs {
-    /// Show the work in the browser while it runs, at the printed address: its stage, the curves and the
-    /// growing scene; on this port [default: 8090], or the next free one
+    /// Show the work in the browser while it runs, at the printed address: its stage, the curves, and the
+    /// growing scene beside the input; on this port [default: 8090], or the next free one
     #[arg(long, value_name = "PORT", num_args = 0..=1, default_missing_value = USUAL_PORT,
           value_parser = values::port)]
     view: Option<u16>,
@@ -54,7 +58,70 @@ impl LiveArgs {
             name: name.to_owned(),
             tuning,
             cameras: Vec::new(),
+            pictures: None,
         }))
+    }
+
+    /// Prints and returns the predicted device memory of a training and of its page, if it is requested; an
+    /// error where both do not fit, which says to change what `turn` names.
+    pub fn foresee(
+        &self,
+        device: &Device,
+        scale: &TrainingScale,
+        tuning: &Tuning,
+        turn: &str,
+    ) -> Result<Foreseen> {
+        let (what, alone) = (training(scale), scale.footprint(device));
+        if self.view.is_none() {
+            let most = || scale.most_gaussians(device);
+            return foresee(device, &what, alone, most, turn).map(Foreseen::from);
+        }
+        let page = RenderScale {
+            gaussians: scale.reached(),
+            sh_degree: scale.settings.sh_degree,
+            motion: scale.motion,
+            size: LARGEST,
+            intersections: 0,
+            tuning: *tuning,
+            repainted: true,
+        };
+        let mut training_bytes = 0;
+        let both = alone.and_then(|training| {
+            let page = page.footprint(device)?;
+            training_bytes = training.bytes;
+            let bytes = training.bytes + page.bytes;
+            let larger = if page.largest_bytes > training.largest_bytes { page } else { training };
+            Ok(Footprint { bytes, ..larger })
+        });
+        let turn = format!("{turn}, or leave out --view");
+        let with_page = foresee(device, &format!("{what} with a page"), both, || 0, &turn)?;
+        Ok(Foreseen { alone: training_bytes, with_page })
+    }
+}
+
+/// Predicted device memory, bytes.
+#[derive(Clone, Copy)]
+pub struct Foreseen {
+    /// Of the work alone: the scene keeps this, since a page must change nothing of it.
+    pub alone: u64,
+    /// Of the work and its page, if it has one.
+    pub with_page: u64,
+}
+
+impl From<u64> for Foreseen {
+    /// The prediction for work without a page.
+    fn from(bytes: u64) -> Foreseen {
+        Foreseen { alone: bytes, with_page: bytes }
+    }
+}
+
+impl Foreseen {
+    /// The prediction for two parts of the work, one after the other.
+    pub fn max(self, other: Foreseen) -> Foreseen {
+        Foreseen {
+            alone: self.alone.max(other.alone),
+            with_page: self.with_page.max(other.with_page),
+        }
     }
 }
 
@@ -67,12 +134,23 @@ pub struct Live {
     tuning: Tuning,
     /// Cameras for scenes without cameras.
     cameras: Vec<SceneCamera>,
+    /// The input images, in the order of the scene's cameras.
+    pictures: Option<Pictures>,
 }
 
 impl Live {
     /// Sets the cameras for scenes without cameras.
     pub fn set_cameras(&mut self, cameras: Vec<SceneCamera>) {
         self.cameras = cameras;
+    }
+
+    /// Sets the input images that are shown beside the scene, in the order of the scene's cameras.
+    pub fn set_pictures<'a>(&mut self, images: impl IntoIterator<Item = &'a Image>) {
+        // An error of the page must not end the work.
+        match Pictures::of_images(images) {
+            Ok(pictures) => self.pictures = Some(pictures),
+            Err(error) => say(&format!("note: the page shows no input: {error}")),
+        }
     }
 
     /// Reports a stage without known progress.
@@ -113,7 +191,8 @@ impl Live {
         }
         let (start, distance) = path::start(&scene);
         let (name, tuning) = (self.name.clone(), self.tuning);
-        let show = Show { name, scene, tuning, start, distance, pictures: None };
+        let pictures = self.pictures.clone();
+        let show = Show { name, scene, tuning, start, distance, pictures };
         // An error of the page must not end the work.
         if let Err(error) = self.live.hand_over(show) {
             say(&format!("note: the page shows no scene: {error}"));

@@ -24,13 +24,12 @@ use super::clip::{ClipArgs, shots_json};
 use super::clock::Clock;
 use super::common::{
     Answer, Common, broken_gradients, bytes, foresee, most_pairs, notes, path_text, say, thousands,
-    training,
 };
 use super::info::dynamic_share;
 use super::known::{
     CAMERA_FILES, KnownArgs, focal_source, lens_json, observe, poses_json, write_cameras,
 };
-use super::live::{LiveArgs, name_of};
+use super::live::{Foreseen, LiveArgs, name_of};
 use super::networks::{estimate_depth, estimate_pointmaps};
 use super::origins::{self, Networks};
 use super::outputs::{Inputs, Outputs};
@@ -207,7 +206,7 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     std::fs::metadata(&args.clip).map_err(Error::io(&args.clip))?;
     let mut models = args.known.networks.open()?;
     let device = common.open_device()?;
-    let live = args.live.start(&device, &name_of(&args.clip), Tuning::default())?;
+    let mut live = args.live.start(&device, &name_of(&args.clip), Tuning::default())?;
     if let Some(live) = &live {
         live.stage("reading the clip");
     }
@@ -223,6 +222,9 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     let (shot, shots) = (clip.shot, clip.shots);
     let mut all_notes = clip.notes;
     let frames: Vec<Image> = clip.frames.into_iter().map(|frame| frame.image).collect();
+    if let Some(live) = &mut live {
+        live.set_pictures(&frames);
+    }
     let host = frames.len() as u64 * u64::from(width) * u64::from(height);
     say(&format!(
         "{} frames of {width}×{height} (from {}×{}), {} of memory",
@@ -239,7 +241,7 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
 
     let settings = settings(args, common, &preset, (width, height));
     let scale = settings.scale(frames.len(), (width, height));
-    let mut predicted_bytes = foreseen(args, &device, &scale, (width, height))?;
+    let mut predicted = foreseen(args, &device, &scale, (width, height))?;
     let networks = args.known.networks.identity()?;
     let identity = identity(args, &frames, &options, flow.as_ref(), &settings, &networks);
     let mut checkpoints = Checkpoints::new(&args.output, &args.checkpoints, identity);
@@ -272,7 +274,7 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     let intersections = first_pairs(&device, sequence, &settings)?;
     let scale = TrainingScale { intersections, ..scale };
     if scale.is_dense() {
-        predicted_bytes = predicted_bytes.max(foreseen_training(&device, &scale)?);
+        predicted = predicted.max(foreseen_training(args, &device, &scale)?);
     }
     let (resume, history) = checkpoints.load::<Kept>("training")?.unzip();
     let mut watcher = Watcher::new(&mut clock, &mut checkpoints, &phase_names)
@@ -326,12 +328,13 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
         "sources": origins::to_json(&origins),
         "notes": all_notes,
         "device": device.info().name,
-        "predicted_bytes": predicted_bytes,
+        "predicted_bytes": predicted.alone,
     });
     scene.save(&args.output)?;
     checkpoints.remove();
     // Values that vary between runs are not stored in the scene, so that identical runs give identical files.
     let mut json = scene.report.clone();
+    json["predicted_bytes"] = json!(predicted.with_page);
     json["peak_bytes"] = json!(device.memory().1);
     json["milliseconds_per_step"] = json!(milliseconds_per_step);
     json["seconds"] = clock.json();
@@ -370,24 +373,23 @@ fn foreseen(
     device: &Device,
     scale: &TrainingScale,
     size: (u32, u32),
-) -> Result<u64> {
-    let training = foreseen_training(device, scale)?;
+) -> Result<Foreseen> {
+    let training = foreseen_training(args, device, scale)?;
     if args.known.supplies_flow() {
         return Ok(training);
     }
     let footprint = EngineFlow::footprint(device, size, &FlowSettings::default());
     let flow = foresee(device, "optical flow", footprint, || 0, "lower --size")?;
-    Ok(training.max(flow))
+    Ok(training.max(flow.into()))
 }
 
-fn foreseen_training(device: &Device, scale: &TrainingScale) -> Result<u64> {
-    foresee(
-        device,
-        &training(scale),
-        scale.footprint(device),
-        || scale.most_gaussians(device),
-        "lower --max-gaussians, --control-points or --size",
-    )
+fn foreseen_training(
+    args: &ReconstructArgs,
+    device: &Device,
+    scale: &TrainingScale,
+) -> Result<Foreseen> {
+    let turn = "lower --max-gaussians, --control-points or --size";
+    args.live.foresee(device, scale, &Tuning::default(), turn)
 }
 
 /// The maximum number of (splat, tile) pairs of the initial Gaussians in a frame.

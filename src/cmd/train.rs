@@ -23,8 +23,7 @@ use splat4d::{Error, Result};
 use super::checkpoints::{self, CheckpointArgs, Checkpoints, shown, summed};
 use super::clock::Clock;
 use super::common::{
-    Answer, Common, broken_gradients, bytes, foresee, most_pairs, notes, path_text, say, thousands,
-    training,
+    Answer, Common, broken_gradients, bytes, most_pairs, notes, path_text, say, thousands,
 };
 use super::info::dynamic_share;
 use super::live::{LiveArgs, name_of};
@@ -57,8 +56,8 @@ JSON: psnr_input, psnr_test (null where nothing is held out), ssim_test,
 gaussians, control_points, control_points_added, control_points_removed (null where nothing moves),
 broken_gradients (values that were not a number or infinite and were left out),
 dynamic_share, model [{what, chosen, because, saves}], density (null where their number is kept),
-steps, images, held_out, device, predicted_bytes (of device memory, before it began), all also kept
-in the scene; and, in report.json too, peak_bytes, milliseconds_per_step,
+steps, images, held_out, device, predicted_bytes (of device memory, before it began; with --view also of
+the page, in the scene without it), all also kept in the scene; and, in report.json too, peak_bytes, milliseconds_per_step,
 seconds {load, train, evaluate}; output. report.json alone has training [{phase (static, joint), step,
 gaussians, l1, ssim, psnr (dB, or null)}], measured on one picture each";
 
@@ -203,20 +202,19 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
         let most = tuning.neighbours.map_or(motion.neighbours, |k| k as usize);
         PosedMotion { neighbours: motion.neighbours.min(most), ..motion }
     });
+    if let Some(live) = &mut live {
+        let mut filmed: Vec<&View> = train.iter().chain(&test).collect();
+        filmed.sort_by(|a, b| a.time.total_cmp(&b.time));
+        live.set_cameras(in_time(filmed.iter().map(|view| (view.time, view.camera))));
+        live.set_pictures(filmed.iter().map(|view| &view.image));
+    }
     // The images are large, so they are moved and returned after training.
     let (called, mut views): (Vec<String>, Vec<TrainingView>) =
         train.into_iter().map(|view| (view.name.clone(), view.into())).unzip();
     let mut scale = posed_scale(&views, first, motion.as_ref(), &settings);
-    let foresee = |scale: &TrainingScale| {
-        foresee(
-            &device,
-            &training(scale),
-            scale.footprint(&device),
-            || scale.most_gaussians(&device),
-            turn(args, &set),
-        )
-    };
-    let mut predicted_bytes = foresee(&scale)?;
+    let foresee =
+        |scale: &TrainingScale| args.live.foresee(&device, scale, &tuning, turn(args, &set));
+    let mut foreseen = foresee(&scale)?;
     check_memory(
         (first as u64).saturating_mul(BYTES_A_SEED),
         &format!("beginning with {} Gaussians", thousands(first)),
@@ -228,7 +226,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
     let render = RenderSettings { near, ..settings.render };
     scale.intersections = pairs_of(&device, &seeded, render, &views)?;
     if scale.is_dense() {
-        predicted_bytes = foresee(&scale)?;
+        foreseen = foresee(&scale)?;
     }
     let identity = identity(args, &views, &seeded, &tuning, &settings, motion.as_ref());
     let mut checkpoints = Checkpoints::new(&args.output, &args.checkpoints, identity);
@@ -237,9 +235,6 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
         (Phase::Static, true) => ("warm-up", "train"),
         _ => ("training", "train"),
     };
-    if let Some(live) = &mut live {
-        live.set_cameras(in_time(views.iter().map(|view| (view.time, view.camera))));
-    }
     let mut watcher = Watcher::new(&mut clock, &mut checkpoints, &names)
         .measuring(args.report.is_some())
         .shown(live.as_ref())
@@ -286,12 +281,13 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
         "images": train.len(),
         "held_out": test.len(),
         "device": device.info().name,
-        "predicted_bytes": predicted_bytes,
+        "predicted_bytes": foreseen.alone,
     });
     scene.save(&args.output)?;
     checkpoints.remove();
     // Values that vary between runs are not stored in the scene, so that identical runs give identical files.
     let mut json = scene.report.clone();
+    json["predicted_bytes"] = json!(foreseen.with_page);
     json["peak_bytes"] = json!(device.memory().1);
     json["milliseconds_per_step"] = json!(milliseconds_per_step);
     json["seconds"] = clock.json();

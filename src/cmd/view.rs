@@ -171,7 +171,8 @@ fn foreseen(device: &splat4d::gpu::Device, scene: &Scene, tuning: &Tuning) -> Re
         u64::from(width) * u64::from(height) * BYTES_A_PIXEL,
         &format!("a picture of {width}×{height}"),
     )?;
-    let scale = RenderScale::new(scene, USUAL_SIZE, tuning);
+    // Motion masks, flow and normals are drawn by a second pass.
+    let scale = RenderScale { repainted: true, ..RenderScale::new(scene, USUAL_SIZE, tuning) };
     foresee(
         device,
         &format!("showing {} Gaussians", thousands(scale.gaussians)),

@@ -21,10 +21,13 @@ pub enum Format {
     Spz(spz::Version),
     /// Binary glTF with `KHR_gaussian_splatting`: f32; written only.
     Glb,
+    /// Binary glTF whose Gaussians are an SPZ of version 2, in the extension
+    /// `KHR_gaussian_splatting_compression_spz_2`; written only.
+    GlbSpz,
 }
 
 impl Format {
-    /// The format of a file name; version 4 for SPZ.
+    /// The format of a file name; version 4 for SPZ, glTF without SPZ.
     pub fn of(path: &Path) -> Option<Format> {
         let name = path.file_name()?.to_str()?.to_ascii_lowercase();
         let ends = [
@@ -44,7 +47,7 @@ impl Format {
             Format::CompressedPly => ".compressed.ply",
             Format::Splat => ".splat",
             Format::Spz(_) => ".spz",
-            Format::Glb => ".glb",
+            Format::Glb | Format::GlbSpz => ".glb",
         }
     }
 
@@ -55,7 +58,7 @@ impl Format {
 
     /// Writes Gaussians, atomically by rename. Motion, and harmonics above
     /// [`most_sh_degree`](Self::most_sh_degree), are left out. Returns the number of Gaussians
-    /// written: SPZ leaves out Gaussians beyond its coordinate range.
+    /// written: SPZ, in glTF too, leaves out Gaussians beyond its coordinate range.
     ///
     /// # Errors
     /// [`Error::Shape`](crate::Error::Shape) if arrays differ in length;
@@ -63,10 +66,12 @@ impl Format {
     /// than 4 GiB;
     /// [`Error::Io`](crate::Error::Io).
     pub fn write(self, path: impl AsRef<Path>, gaussians: &Gaussians) -> Result<usize> {
-        self.check(gaussians)?;
-        if let Format::Spz(version) = self {
-            return spz::write(path, gaussians, version);
+        if let Format::Spz(_) | Format::GlbSpz = self {
+            let (bytes, count) = self.encode(gaussians)?;
+            io::write_atomically(path, |sink| sink.write_all(&bytes))?;
+            return Ok(count);
         }
+        self.check(gaussians)?;
         io::write_atomically(path, |sink| self.plain(gaussians, sink))?;
         Ok(gaussians.len())
     }
@@ -77,8 +82,10 @@ impl Format {
     /// As for [`write`](Self::write).
     pub fn encode(self, gaussians: &Gaussians) -> Result<(Vec<u8>, usize)> {
         self.check(gaussians)?;
-        if let Format::Spz(version) = self {
-            return spz::encoded(gaussians, version, &[]);
+        match self {
+            Format::Spz(version) => return spz::encoded(gaussians, version, &[]),
+            Format::GlbSpz => return glb::compressed(gaussians),
+            _ => {}
         }
         let mut bytes = Vec::new();
         self.plain(gaussians, &mut bytes).map_err(crate::Error::io(""))?;
@@ -96,7 +103,7 @@ impl Format {
             Format::CompressedPly => compressed_ply::encode(gaussians, sink),
             Format::Splat => splat::encode(gaussians, sink),
             Format::Glb => glb::encode(gaussians, sink),
-            Format::Ply | Format::Spz(_) => ply::encode(gaussians, sink),
+            Format::Ply | Format::Spz(_) | Format::GlbSpz => ply::encode(gaussians, sink),
         }
     }
 }

@@ -6,8 +6,12 @@
 //! deviations), `OPACITY` in [0, 1], `SH_DEGREE_l_COEF_n`. All but `COLOR_0` are f32. glTF's axes
 //! are left, up and front: x and y change their signs relative to this crate.
 //!
+//! With the extension `KHR_gaussian_splatting_compression_spz_2` the Gaussians are an SPZ of version 2 in one
+//! buffer view, with SPZ's own axes, and the accessors are without data: readers map what they unpack to
+//! left, up and front. Both extensions are then required to read the file.
+//!
 //! Source: KhronosGroup/glTF, extensions/2.0/Khronos/KHR_gaussian_splatting, the release candidate as of
-//! July 2026.
+//! July 2026; KHR_gaussian_splatting_compression_spz_2, the draft that CesiumJS reads.
 
 use std::io::Write;
 use std::path::Path;
@@ -15,7 +19,7 @@ use std::path::Path;
 use serde_json::{Map, Value, json};
 
 use super::axes::Axes;
-use super::packing;
+use super::{packing, spz};
 use crate::types::{Gaussians, sh_coefficients};
 use crate::{Error, Result, io};
 
@@ -26,6 +30,10 @@ const FLOAT: u32 = 5126;
 const ARRAY: u32 = 34962;
 /// Name of the extension.
 const NAME: &str = "KHR_gaussian_splatting";
+/// Name of the extension in it for an SPZ.
+const SPZ: &str = "KHR_gaussian_splatting_compression_spz_2";
+/// Size of the headers of the file and of its two chunks, bytes.
+const HEADERS: usize = 28;
 
 /// A vertex attribute: its name, its number of components and its values.
 struct Attribute<'a> {
@@ -69,19 +77,8 @@ pub(super) fn check(g: &Gaussians) -> Result<()> {
 /// Encodes the file; [`check`] must have passed.
 pub(super) fn encode(g: &Gaussians, sink: &mut dyn Write) -> std::io::Result<()> {
     let attributes = attributes(g);
-    let json = header(g, &attributes).to_string();
-    let json = format!("{json:<width$}", width = json.len().next_multiple_of(4));
     let size: usize = attributes.iter().map(|a| a.size() * g.len()).sum();
-    let mut word = |value: usize| sink.write_all(&(value as u32).to_le_bytes());
-    word(0x4654_6c67)?;
-    word(2)?;
-    word(12 + 8 + json.len() + 8 + size)?;
-    word(json.len())?;
-    word(0x4e4f_534a)?;
-    sink.write_all(json.as_bytes())?;
-    let mut word = |value: usize| sink.write_all(&(value as u32).to_le_bytes());
-    word(size)?;
-    word(0x004e_4942)?;
+    begin(&header(g, &attributes, None), size, sink)?;
     for attribute in &attributes {
         for i in 0..g.len() {
             match &attribute.values {
@@ -95,6 +92,38 @@ pub(super) fn encode(g: &Gaussians, sink: &mut dyn Write) -> std::io::Result<()>
         }
     }
     Ok(())
+}
+
+/// The bytes of a file whose Gaussians are an SPZ, and the number of Gaussians in it.
+///
+/// # Errors
+/// As for [`spz::write`].
+pub(super) fn compressed(g: &Gaussians) -> Result<(Vec<u8>, usize)> {
+    let (mut packed, count) = spz::encoded(g, spz::Version::V2, &[])?;
+    // The header tells the bounds of what is unpacked.
+    let unpacked = spz::parse(Path::new("an SPZ"), &packed, false)?.scene.gaussians;
+    let header = header(&unpacked, &attributes(&unpacked), Some(packed.len()));
+    packed.resize(packed.len().next_multiple_of(4), 0);
+    let mut bytes = Vec::new();
+    begin(&header, packed.len(), &mut bytes).map_err(Error::io("memory"))?;
+    bytes.extend(packed);
+    Ok((bytes, count))
+}
+
+/// Writes all before the binary chunk's data of `size` bytes, a multiple of 4.
+fn begin(header: &Value, size: usize, sink: &mut dyn Write) -> std::io::Result<()> {
+    let json = header.to_string();
+    let json = format!("{json:<width$}", width = json.len().next_multiple_of(4));
+    let mut word = |value: usize| sink.write_all(&(value as u32).to_le_bytes());
+    word(0x4654_6c67)?;
+    word(2)?;
+    word(HEADERS + json.len() + size)?;
+    word(json.len())?;
+    word(0x4e4f_534a)?;
+    sink.write_all(json.as_bytes())?;
+    let mut word = |value: usize| sink.write_all(&(value as u32).to_le_bytes());
+    word(size)?;
+    word(0x004e_4942)
 }
 
 impl Attribute<'_> {
@@ -154,20 +183,26 @@ fn linear(value: f32) -> f32 {
     if value <= 0.04045 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) }
 }
 
-fn header(g: &Gaussians, attributes: &[Attribute<'_>]) -> Value {
+/// The JSON; `spz` is the size of the SPZ that holds the attributes, if one does.
+fn header(g: &Gaussians, attributes: &[Attribute<'_>], spz: Option<usize>) -> Value {
     let mut at = 0;
     let (mut views, mut accessors, mut names) = (Vec::new(), Vec::new(), Map::new());
     for (index, attribute) in attributes.iter().enumerate() {
-        let size = attribute.size() * g.len();
-        views.push(json!({ "buffer": 0, "byteOffset": at, "byteLength": size, "target": ARRAY }));
         let is_byte = matches!(attribute.values, Values::Byte(_));
         let kind = ["SCALAR", "VEC2", "VEC3", "VEC4"][attribute.parts - 1];
         let mut accessor = json!({
-            "bufferView": index,
             "componentType": if is_byte { BYTE } else { FLOAT },
             "count": g.len(),
             "type": kind,
         });
+        if spz.is_none() {
+            let size = attribute.size() * g.len();
+            views.push(
+                json!({ "buffer": 0, "byteOffset": at, "byteLength": size, "target": ARRAY }),
+            );
+            accessor["bufferView"] = json!(index);
+            at += size;
+        }
         if is_byte {
             accessor["normalized"] = json!(true);
         }
@@ -182,15 +217,18 @@ fn header(g: &Gaussians, attributes: &[Attribute<'_>]) -> Value {
         }
         accessors.push(accessor);
         names.insert(attribute.name.clone(), json!(index));
-        at += size;
     }
-    let splatting = json!({
+    let mut splatting = json!({
         "kernel": "ellipse",
         "colorSpace": "srgb_rec709_display",
         "projection": "perspective",
         "sortingMethod": "cameraDistance",
     });
-    json!({
+    if let Some(size) = spz {
+        views.push(json!({ "buffer": 0, "byteLength": size }));
+        splatting["extensions"] = json!({ SPZ: { "bufferView": 0 } });
+    }
+    let mut json = json!({
         "asset": { "version": "2.0", "generator": concat!("splat4d ", env!("CARGO_PKG_VERSION")) },
         "extensionsUsed": [NAME],
         "scene": 0,
@@ -201,8 +239,13 @@ fn header(g: &Gaussians, attributes: &[Attribute<'_>]) -> Value {
             "mode": 0,
             "extensions": { NAME: splatting },
         }] }],
-        "buffers": [{ "byteLength": at }],
+        "buffers": [{ "byteLength": spz.unwrap_or(at) }],
         "bufferViews": views,
         "accessors": accessors,
-    })
+    });
+    if spz.is_some() {
+        json["extensionsUsed"] = json!([NAME, SPZ]);
+        json["extensionsRequired"] = json!([NAME, SPZ]);
+    }
+    json
 }

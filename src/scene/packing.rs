@@ -25,6 +25,11 @@ pub(super) fn logit_of(opacity: f32) -> f32 {
     (opacity / (1.0 - opacity)).ln()
 }
 
+/// An infinite logit as that of the opacity 0 or 1 in 8 bits; others as they are.
+pub(super) fn finite_logit(logit: f32) -> f32 {
+    if logit.is_infinite() { logit_of(opacity(logit)) } else { logit }
+}
+
 /// Quantises a value in [0, 1] to `most` steps; values outside are clamped.
 pub(super) fn steps(share: f32, most: u32) -> u32 {
     (share.clamp(0.0, 1.0) * most as f32).round() as u32
@@ -161,6 +166,9 @@ mod tests {
         for byte in 0..=255u8 {
             assert_eq!(steps(opacity(logit(byte)), 255), u32::from(byte));
         }
+        assert_eq!(finite_logit(f32::NEG_INFINITY), logit(0));
+        assert_eq!(finite_logit(f32::INFINITY), logit(255));
+        assert!(finite_logit(30.0) == 30.0 && finite_logit(f32::NAN).is_nan());
         assert_eq!(unit([0.0; 4]), [1.0, 0.0, 0.0, 0.0]);
         let (at, q) = largest(unit([0.1, 0.2, -3.0, 0.4]));
         assert_eq!(at, 2);

@@ -5,12 +5,13 @@
 //! Compressed PLY, which SuperSplat writes, is read too (`compressed_ply`).
 //!
 //! Reading takes any order of properties, further properties, ASCII and both byte orders; normals
-//! are not needed. The format cannot hold motion.
+//! are not needed. Infinite logits, those of opacities of 0 and 1, are read as those of 0 and
+//! 255 in 8 bits. The format cannot hold motion.
 
 use std::io::Write;
 use std::path::Path;
 
-use super::{compressed_ply, without_bad};
+use super::{compressed_ply, packing, without_bad};
 use crate::io::{self, ply::Kind, ply::Ply};
 use crate::types::{Gaussians, sh_coefficients};
 use crate::{Error, Result};
@@ -70,7 +71,7 @@ pub(super) fn parse(path: &Path, bytes: &[u8], drop_bad: bool) -> Result<(Gaussi
     let bands = rest / 3;
     for row in rows.chunks_exact(columns.len()) {
         gaussians.positions.push([row[0], row[1], row[2]]);
-        gaussians.opacity_logits.push(row[3]);
+        gaussians.opacity_logits.push(packing::finite_logit(row[3]));
         gaussians.log_scales.push([row[4], row[5], row[6]]);
         gaussians.rotations.push([row[7], row[8], row[9], row[10]]);
         gaussians.sh.push([row[11], row[12], row[13]]);

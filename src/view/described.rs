@@ -1,43 +1,61 @@
-//! `scene.json`: the description of the scene for the page.
+//! `scene.json`, the description of the scene for the page, and the input images that it counts.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use super::protocol::Description;
-use super::{MOST_LIVE_PIXELS, MOST_PIXELS, MOST_SIDE, Show};
+use super::{MOST_LIVE_PIXELS, MOST_PIXELS, MOST_SIDE, Pictures, Show};
 use crate::types::{Camera, Intrinsics, Pose};
 use crate::{Error, Result};
 
-/// The served description; replaced whenever a training hands over a scene.
+/// What is served about the scene; replaced whenever a training hands over a scene.
 #[derive(Clone)]
-pub struct Described(Arc<Mutex<Arc<str>>>);
+pub struct Described(Arc<Mutex<Served>>);
+
+#[derive(Clone)]
+struct Served {
+    text: Arc<str>,
+    pictures: Pictures,
+}
 
 impl Described {
-    /// Makes the description to be served.
+    /// Makes the description and the images to be served.
     ///
     /// # Errors
     /// A number is not representable in JSON.
-    pub fn new(description: &Description) -> Result<Described> {
-        Ok(Described(Arc::new(Mutex::new(text(description)?))))
+    pub fn new(description: &Description, pictures: Pictures) -> Result<Described> {
+        Ok(Described(Arc::new(Mutex::new(Served::new(description, pictures)?))))
     }
 
-    /// Replaces the description.
+    /// Replaces the description and the images.
     ///
     /// # Errors
     /// Those of [`new`](Self::new).
-    pub fn set(&self, description: &Description) -> Result<()> {
-        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = text(description)?;
+    pub fn set(&self, description: &Description, pictures: Pictures) -> Result<()> {
+        *self.lock() = Served::new(description, pictures)?;
         Ok(())
     }
 
     /// The current description.
     pub fn text(&self) -> Arc<str> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        self.lock().text.clone()
+    }
+
+    /// The current images.
+    pub fn pictures(&self) -> Pictures {
+        self.lock().pictures.clone()
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Served> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-fn text(description: &Description) -> Result<Arc<str>> {
-    let text = serde_json::to_string(description);
-    text.map(Arc::from).map_err(|error| Error::Failed(error.to_string()))
+impl Served {
+    fn new(description: &Description, pictures: Pictures) -> Result<Served> {
+        let text = serde_json::to_string(description);
+        let text = text.map(Arc::from).map_err(|error| Error::Failed(error.to_string()))?;
+        Ok(Served { text, pictures })
+    }
 }
 
 /// The description of a scene; `live` while it is being trained.

@@ -104,7 +104,8 @@ impl Live {
     /// [`Error::Failed`](crate::Error::Failed): a camera holds a number that is not representable in JSON.
     pub fn hand_over(&self, show: Show) -> Result<()> {
         let gaussians = show.scene.gaussians.len();
-        self.0.description.set(&described::of(&self.0.device, &show, true))?;
+        let pictures = show.pictures.clone().unwrap_or_default();
+        self.0.description.set(&described::of(&self.0.device, &show, true), pictures)?;
         {
             let mut scene = self.lock();
             let now = Instant::now();
@@ -164,6 +165,7 @@ mod tests {
     use super::*;
     use crate::scene::Scene;
     use crate::types::{Camera, Gaussians, Intrinsics, Pose, Tuning};
+    use crate::view::Pictures;
 
     fn show() -> Show {
         let intrinsics = Intrinsics::centred(8.0, 8, 8);
@@ -178,7 +180,8 @@ mod tests {
     }
 
     fn live(turns: &Arc<Turns>) -> Live {
-        let description = Described::new(&described::nothing("d", "n")).unwrap();
+        let nothing = described::nothing("d", "n");
+        let description = Described::new(&nothing, Pictures::default()).unwrap();
         Live::new(turns.clone(), "d", description)
     }
 

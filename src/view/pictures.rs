@@ -14,6 +14,8 @@ use crate::types::Image;
 
 /// Maximum side of a displayed image, pixels.
 const LONGEST: u32 = 1280;
+/// The same of images that are all encoded beforehand during other work.
+const LONGEST_BEFOREHAND: u32 = 640;
 /// JPEG quality.
 const QUALITY: u8 = 90;
 /// Upper bound in practice of the size of such a JPEG, bytes per pixel.
@@ -61,10 +63,19 @@ impl Pictures {
         check_memory((numbers.len() as f64 * bytes) as u64, &what)?;
         let mut packed = Vec::with_capacity(numbers.len());
         video::frames(path, numbers, &mut |_, picture| {
-            packed.push(jpeg(&picture)?);
+            packed.push(jpeg(&picture, LONGEST)?);
             go_on()
         })?;
         Ok(Pictures(Kept::Packed(Arc::new(packed))))
+    }
+
+    /// Images that are in memory, encoded now with at most 640 pixels per side.
+    ///
+    /// # Errors
+    /// [`Error::Failed`](crate::Error::Failed): an image cannot be encoded.
+    pub fn of_images<'a>(images: impl IntoIterator<Item = &'a Image>) -> Result<Pictures> {
+        let packed = images.into_iter().map(|image| jpeg(image, LONGEST_BEFOREHAND));
+        Ok(Pictures(Kept::Packed(Arc::new(packed.collect::<Result<_>>()?))))
     }
 
     /// Number of images.
@@ -89,15 +100,16 @@ impl Pictures {
             Kept::Packed(pictures) => Ok(pictures.get(index).cloned()),
             Kept::Files(files) => {
                 let Some(path) = files.get(index) else { return Ok(None) };
-                jpeg(&decode_rgb(path, [0.0; 3], Orientation::Upright)?).map(Some)
+                let picture = decode_rgb(path, [0.0; 3], Orientation::Upright)?;
+                jpeg(&picture, LONGEST).map(Some)
             }
         }
     }
 }
 
-/// Encodes an image as it is sent.
-fn jpeg(picture: &Image) -> Result<Vec<u8>> {
-    let (width, height) = Resize::Longest(LONGEST).target(picture.width, picture.height);
+/// Encodes an image as it is sent, with at most `longest` pixels per side.
+fn jpeg(picture: &Image, longest: u32) -> Result<Vec<u8>> {
+    let (width, height) = Resize::Longest(longest).target(picture.width, picture.height);
     let mut bytes = Vec::new();
     pack(&resize(picture, width, height), Format::Jpeg, QUALITY, &mut bytes)?;
     Ok(bytes)

@@ -69,7 +69,6 @@ pub struct Server {
 struct Desk {
     guard: Guard,
     description: Described,
-    pictures: Pictures,
     turns: Arc<Turns>,
     live: Option<Live>,
     clients: Arc<Semaphore>,
@@ -90,10 +89,10 @@ impl Server {
         let easel = Easel {
             device: device.clone(),
             painter: Some(Painter::new(device, &show)?),
-            description: Described::new(&description)?,
+            description: Described::new(&description, show.pictures.unwrap_or_default())?,
             live: None,
         };
-        Server::serve(listener, easel, show.pictures.unwrap_or_default(), turns)
+        Server::serve(listener, easel, turns)
     }
 
     /// Starts a server for a scene called `name` that is being trained on the device. It serves what the
@@ -105,26 +104,20 @@ impl Server {
         let listener = port::listen(options.host, options.port)?;
         let turns = Arc::new(Turns::default());
         let nothing = described::nothing(&device.info().name, name);
-        let description = Described::new(&nothing)?;
+        let description = Described::new(&nothing, Pictures::default())?;
         let live = Live::new(turns.clone(), &device.info().name, description.clone());
         let easel =
             Easel { device: device.clone(), painter: None, description, live: Some(live.clone()) };
-        Ok((Server::serve(listener, easel, Pictures::default(), turns)?, live))
+        Ok((Server::serve(listener, easel, turns)?, live))
     }
 
-    fn serve(
-        listener: std::net::TcpListener,
-        easel: Easel,
-        pictures: Pictures,
-        turns: Arc<Turns>,
-    ) -> Result<Server> {
+    fn serve(listener: std::net::TcpListener, easel: Easel, turns: Arc<Turns>) -> Result<Server> {
         let address = listener.local_addr().map_err(Error::io("the socket"))?;
         let guard = Guard::new(address)?;
         let url = guard.url();
         let desk = Arc::new(Desk {
             guard,
             description: easel.description.clone(),
-            pictures,
             turns: turns.clone(),
             live: easel.live.clone(),
             clients: Arc::new(Semaphore::new(MOST_CLIENTS)),
@@ -354,7 +347,7 @@ impl Desk {
 
     async fn picture(&self, number: usize) -> Response {
         let turn = self.decoding.clone().acquire_owned().await.expect("never closed");
-        let pictures = self.pictures.clone();
+        let pictures = self.description.pictures();
         // The client may disconnect meanwhile; the permit is held until decoding ends.
         let decode = move || {
             let decoded = pictures.jpeg(number);

@@ -1,15 +1,18 @@
-//! Scenes for the tests of exports, and PlayCanvas' splat-transform, an independent program that reads
-//! and writes the formats. `tools/setup.sh test` installs it beside the build directory. Its SPZ code is
-//! the format's reference library.
+//! Scenes for the tests of exports, and the programs of the formats in `tools/splats`, which `tools/setup.sh test`
+//! installs beside the build directory: PlayCanvas' splat-transform, which reads and writes the formats, its SPZ
+//! code the format's reference library, and Khronos' glTF validator.
 
 // Each test binary uses its own part.
 #![allow(dead_code)]
 
+use std::collections::BTreeMap;
+use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use serde_json::Value;
 use splat4d::scene::{Scene, SceneCamera};
-use splat4d::types::{Camera, ControlPoints, Gaussians, Intrinsics, Pose, sh_coefficients};
+use splat4d::types::{Camera, ControlPoints, Gaussians, Intrinsics, Pose, SH_C0, sh_coefficients};
 
 /// A deterministic pseudo-random number in [0, 1) from two indices.
 fn noise(i: usize, k: usize) -> f32 {
@@ -72,14 +75,41 @@ pub fn moving(sh_degree: u32) -> Scene {
     }
 }
 
+/// The folder of the installed packages, which must be those of the lock file.
+#[track_caller]
+fn packages() -> PathBuf {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).parent().unwrap().join("splats");
+    let lock = |folder: &Path| fs::read(folder.join("package-lock.json")).ok();
+    let wanted = lock(&Path::new(env!("CARGO_MANIFEST_DIR")).join("tools/splats"));
+    assert!(
+        wanted.is_some() && lock(&folder) == wanted,
+        "{} does not hold the packages of tools/splats/package-lock.json; tools/setup.sh test installs them",
+        folder.display()
+    );
+    folder.join("node_modules")
+}
+
+/// What Khronos' validator reports of a glTF file.
+#[track_caller]
+pub fn validated(path: &Path) -> Value {
+    let script = "const [, module, file] = process.argv; \
+                  require(module).validateBytes(new Uint8Array(require('fs').readFileSync(file))) \
+                  .then((report) => console.log(JSON.stringify(report)));";
+    let done = Command::new("node")
+        .args(["-e", script])
+        .args([&packages().join("gltf-validator"), path])
+        .output()
+        .expect("node runs; tools/setup.sh test installs it");
+    let said = String::from_utf8_lossy(&done.stderr);
+    assert!(done.status.success(), "{}: {said}", path.display());
+    serde_json::from_slice(&done.stdout).unwrap()
+}
+
 /// Converts a file with splat-transform.
 #[track_caller]
 pub fn transformed(input: &Path, output: &Path, options: &[&str]) -> PathBuf {
-    let beside = Path::new(env!("CARGO_TARGET_TMPDIR")).parent().unwrap();
-    let script = beside.join("splats/node_modules/@playcanvas/splat-transform/bin/cli.mjs");
-    assert!(script.exists(), "{}; tools/setup.sh test installs it", script.display());
     let done = Command::new("node")
-        .arg(script)
+        .arg(packages().join("@playcanvas/splat-transform/bin/cli.mjs"))
         .args(["-q", "-w", "-g", "cpu"])
         .args(options)
         .args([input, output])
@@ -88,6 +118,104 @@ pub fn transformed(input: &Path, output: &Path, options: &[&str]) -> PathBuf {
     let said = String::from_utf8_lossy(&done.stderr);
     assert!(done.status.success() && output.exists(), "{}: {said}", input.display());
     output.to_path_buf()
+}
+
+/// The JSON and the binary chunk of a `.glb`.
+pub fn glb(path: &Path) -> (Value, Vec<u8>) {
+    let bytes = fs::read(path).unwrap();
+    let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()) as usize;
+    assert_eq!((&bytes[..4], word(4), word(8)), (&b"glTF"[..], 2, bytes.len()));
+    let (json, length) = (&bytes[20..20 + word(12)], word(12));
+    assert_eq!((&bytes[16..20], &bytes[24 + length..28 + length]), (&b"JSON"[..], &b"BIN\0"[..]));
+    assert_eq!(word(20 + length), bytes.len() - 28 - length);
+    (serde_json::from_slice(json).unwrap(), bytes[28 + length..].to_vec())
+}
+
+/// Name of glTF's extension for an SPZ.
+pub const SPZ_IN_GLB: &str = "KHR_gaussian_splatting_compression_spz_2";
+
+/// The SPZ in a `.glb`.
+pub fn spz_in_glb<'a>(json: &Value, binary: &'a [u8]) -> &'a [u8] {
+    let splatting =
+        &json["meshes"][0]["primitives"][0]["extensions"]["KHR_gaussian_splatting"]["extensions"];
+    let view = &json["bufferViews"][splatting[SPZ_IN_GLB]["bufferView"].as_u64().unwrap() as usize];
+    assert!(view["byteOffset"].is_null());
+    &binary[..view["byteLength"].as_u64().unwrap() as usize]
+}
+
+/// The attributes of a `.glb` by name: the number of components of each, and its values.
+pub fn attributes(path: &Path) -> BTreeMap<String, (usize, Vec<f32>)> {
+    let (json, binary) = glb(path);
+    assert_eq!(json["extensionsUsed"], serde_json::json!(["KHR_gaussian_splatting"]));
+    let primitive = &json["meshes"][0]["primitives"][0];
+    let splatting = &primitive["extensions"]["KHR_gaussian_splatting"];
+    assert_eq!((&splatting["kernel"], &primitive["mode"]), (&"ellipse".into(), &0.into()));
+    assert_eq!(splatting["colorSpace"], "srgb_rec709_display");
+    let of = |(name, index): (&String, &Value)| {
+        let accessor = &json["accessors"][index.as_u64().unwrap() as usize];
+        let view = &json["bufferViews"][accessor["bufferView"].as_u64().unwrap() as usize];
+        let number = |key: &str| view[key].as_u64().unwrap() as usize;
+        let data = &binary[number("byteOffset")..][..number("byteLength")];
+        let values = match accessor["componentType"].as_u64() {
+            Some(5126) => data.as_chunks().0.iter().map(|b| f32::from_le_bytes(*b)).collect(),
+            Some(5121) => data.iter().map(|b| f32::from(*b) / 255.0).collect::<Vec<f32>>(),
+            other => panic!("{other:?}"),
+        };
+        let parts = match accessor["type"].as_str().unwrap() {
+            "SCALAR" => 1,
+            kind => kind[3..].parse().unwrap(),
+        };
+        assert_eq!(values.len(), parts * accessor["count"].as_u64().unwrap() as usize);
+        (name.clone(), (parts, values))
+    };
+    primitive["attributes"].as_object().unwrap().iter().map(of).collect()
+}
+
+/// A `.splatv` file, read as splaTV's shader reads its texture.
+pub struct SplatV {
+    /// The cameras that it lists.
+    pub cameras: Value,
+    texture: Vec<u8>,
+}
+
+impl SplatV {
+    /// Reads a file.
+    pub fn read(path: &Path) -> SplatV {
+        let bytes = fs::read(path).unwrap();
+        let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap());
+        assert_eq!(word(0), 0x674b);
+        let text = &bytes[8..8 + word(4) as usize];
+        let chunks: Value = serde_json::from_slice(text).unwrap();
+        let chunk = &chunks[0];
+        assert_eq!((&chunk["type"], &chunk["texwidth"]), (&"splat".into(), &4096.into()));
+        let texture = bytes[8 + text.len()..].to_vec();
+        assert_eq!(chunk["size"], texture.len());
+        SplatV { cameras: chunk["cameras"].clone(), texture }
+    }
+
+    /// The Gaussians at a time, and the share of its opacity that each then has.
+    pub fn at(&self, time: f64) -> (Gaussians, Vec<f64>) {
+        let (mut g, mut shares) = (Gaussians::default(), Vec::new());
+        for splat in self.texture.chunks_exact(64).filter(|splat| splat.iter().any(|b| *b != 0)) {
+            let float = |c: usize| f32::from_le_bytes(splat[4 * c..4 * c + 4].try_into().unwrap());
+            let half = |at: usize| half::f16::from_le_bytes([splat[at], splat[at + 1]]).to_f64();
+            let t = time - half(60);
+            g.positions.push(std::array::from_fn(|c| {
+                let of = |power: usize| half(32 + 2 * (3 * (power - 1) + c));
+                (f64::from(float(c)) + of(1) * t + of(2) * t * t + of(3) * t * t * t) as f32
+            }));
+            let rotation = |c: usize| (half(12 + 2 * c) + t * half(52 + 2 * c)) as f32;
+            g.rotations.push(std::array::from_fn(rotation));
+            g.log_scales.push(std::array::from_fn(|c| half(20 + 2 * c).ln() as f32));
+            let byte = |c: usize| f32::from(splat[28 + c]) / 255.0;
+            g.sh.push(std::array::from_fn(|c| (byte(c) - 0.5) / SH_C0));
+            let share = (-(t / half(62)).powi(2)).exp();
+            let opacity = (f64::from(byte(3)) * share).clamp(1e-6, 1.0 - 1e-6);
+            g.opacity_logits.push((opacity / (1.0 - opacity)).ln() as f32);
+            shares.push(share);
+        }
+        (g, shares)
+    }
 }
 
 /// Largest differences between the same Gaussians in two files, by attribute.

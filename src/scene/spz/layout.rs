@@ -1,6 +1,6 @@
 //! The attribute arrays of an SPZ file, and their conversion from and to Gaussians.
 
-use super::further;
+use super::{Version, further};
 use crate::scene::axes::Axes;
 use crate::scene::packing;
 use crate::types::{Gaussians, sh_coefficients};
@@ -51,7 +51,7 @@ pub(super) fn fraction(g: &Gaussians) -> (u8, Vec<u32>) {
 
 impl Arrays {
     /// The arrays of Gaussians whose positions are all in range.
-    pub fn of(g: &Gaussians, fraction: u8) -> Arrays {
+    pub fn of(g: &Gaussians, fraction: u8, version: Version) -> Arrays {
         let (axes, bands) = (Axes::default(), sh_coefficients(g.sh_degree));
         let unit = f32::from(fraction).exp2();
         let mut arrays: [Vec<u8>; 6] = Default::default();
@@ -67,7 +67,11 @@ impl Arrays {
             scales.extend(
                 g.log_scales[i].map(|s| ((s + 10.0) * 16.0).round().clamp(0.0, 255.0) as u8),
             );
-            rotations.extend(packed(axes.turn(packing::unit(g.rotations[i]))).to_le_bytes());
+            let q = axes.turn(packing::unit(g.rotations[i]));
+            match version {
+                Version::V2 => rotations.extend(vector(q)),
+                Version::V3 | Version::V4 => rotations.extend(packed(q).to_le_bytes()),
+            }
             for (k, row) in rows[1..].iter().enumerate() {
                 let step = 1 << (8 - BITS[usize::from(k >= 3)]);
                 harmonics.extend(row.map(|h| bucket(axes.harmonic(k) * h, step)));
@@ -117,6 +121,12 @@ impl Arrays {
 fn bucket(value: f32, step: i32) -> u8 {
     let whole = (value * 128.0).round().clamp(-1e6, 1e6) as i32 + 128;
     ((whole + step / 2).div_euclid(step) * step).clamp(0, 255) as u8
+}
+
+/// The components x, y, z of the quaternion whose w is positive, in 8 bits over [−1, 1].
+fn vector([w, x, y, z]: [f32; 4]) -> [u8; 3] {
+    let sign = if w < 0.0 { -1.0 } else { 1.0 };
+    [x, y, z].map(|v| packing::byte(0.5 + 0.5 * sign * v))
 }
 
 /// Packs a quaternion from the highest bit on: the index of the largest component in the order x,

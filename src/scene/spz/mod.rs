@@ -7,7 +7,7 @@
 //! extensions, a table of sizes and a zstd stream for each array. The axes are right, up, back,
 //! where a PLY's, and this crate's, are right, down, front.
 //!
-//! Versions 2, 3 and 4 are read, 3 and 4 written. In version 4 the motion of a scene goes into an
+//! Versions 2, 3 and 4 are read and written. In version 4 the motion of a scene goes into an
 //! extension ([`MOTION`]), which other readers skip; they show the Gaussians at the time for which
 //! they were written. Adobe's extension for other axes is supported. The antialiasing flag is
 //! ignored, since this crate's scenes have no such property.
@@ -53,7 +53,9 @@ const EFFORT: i32 = 12;
 /// The version to write.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Version {
-    /// One gzip stream.
+    /// One gzip stream, rotations in 3 bytes: what glTF's extension for SPZ holds.
+    V2,
+    /// One gzip stream, rotations in 4 bytes.
     V3,
     /// A plain header, extensions, and a zstd stream for each attribute.
     V4,
@@ -264,14 +266,19 @@ pub(super) fn encoded(
     let (fraction, within) = layout::fraction(gaussians);
     let kept = (within.len() < gaussians.len()).then(|| packing::picked(gaussians, &within));
     let gaussians = kept.as_ref().unwrap_or(gaussians);
-    let arrays = Arrays::of(gaussians, fraction);
+    let arrays = Arrays::of(gaussians, fraction, version);
     let mut bytes = MAGIC.to_vec();
-    bytes.extend(if version == Version::V3 { 3u32 } else { 4 }.to_le_bytes());
+    let number: u32 = match version {
+        Version::V2 => 2,
+        Version::V3 => 3,
+        Version::V4 => 4,
+    };
+    bytes.extend(number.to_le_bytes());
     bytes.extend((gaussians.len() as u32).to_le_bytes());
     let flags = if extension.is_empty() { 0 } else { EXTENDED };
     bytes.extend([gaussians.sh_degree as u8, fraction, flags]);
     let packed = |e: std::io::Error| Error::Failed(format!("compressing failed: {e}"));
-    if version == Version::V3 {
+    if version != Version::V4 {
         bytes.push(0);
         bytes.extend(arrays.0.concat());
         let mut gzip = GzEncoder::new(Vec::new(), Compression::best());

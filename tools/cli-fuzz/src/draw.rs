@@ -37,7 +37,7 @@ struct Base {
 
 /// Valid commands, each with options that keep it short; `<kind>` stands for an input and `>name` for an
 /// output.
-const BASES: [&str; 42] = [
+const BASES: [&str; 43] = [
     "reconstruct <clip> -o >scene.safetensors --size 32 --steps 3 --max-gaussians 150",
     "reconstruct <clip> -o >scene.safetensors --size 32 --steps 3 --max-gaussians 150 \
      --control-points 6 --report >report",
@@ -59,6 +59,7 @@ const BASES: [&str; 42] = [
     "render <scene> -o >views.mp4 --frames 2 --size 24x16",
     "export <scene> -o >moment.ply --time 0.5",
     "export <scene> -o >scene.spz --drop bands",
+    "export <scene> -o >moment.glb --time 0.5 --spz",
     "export <scene> -o >scene.html",
     "export <scene> -o >frames.zip --sequence --frames 2 --as splat --drop bands",
     "eval <scene> <dataset>",
