@@ -56,6 +56,7 @@ impl NearestWorkload {
     }
 
     /// The four nearest of `nodes` random control points for each of `count` random points.
+    #[cfg(feature = "bench")]
     pub(crate) fn random(h: &mut Harness, count: usize, nodes: usize) -> Result<NearestWorkload> {
         let positions: Vec<_> = (0..count).map(|_| random(h)).collect();
         let centres = (0..nodes).map(|_| random(h)).collect();
@@ -399,6 +400,7 @@ impl SkinWorkload {
 
     /// Hard motion of `count` random Gaussians, of which three in four follow four of `nodes` random
     /// control points each.
+    #[cfg(feature = "bench")]
     pub(crate) fn random(
         h: &mut Harness,
         count: usize,

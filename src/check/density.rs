@@ -119,6 +119,7 @@ impl RelocationWorkload {
     }
 
     /// A relocation of `count` Gaussians of which about a tenth is dead, as in training.
+    #[cfg(feature = "bench")]
     pub(crate) fn random(h: &mut Harness, count: usize) -> Result<RelocationWorkload> {
         let logits = random(h, count, -6.2, 5.0);
         let scales = random(h, 3 * count, -5.0, 0.0);
@@ -432,6 +433,7 @@ impl AdaptationWorkload {
     }
 
     /// `count` random Gaussians, with capacity for twice as many.
+    #[cfg(feature = "bench")]
     pub(crate) fn random(h: &mut Harness, count: usize) -> Result<AdaptationWorkload> {
         let cloud = Cloud::random(h, count);
         AdaptationWorkload::new(h, cloud, 2 * count)

@@ -189,6 +189,7 @@ impl LossWorkload {
     }
 
     /// The photometric loss of a random image.
+    #[cfg(feature = "bench")]
     pub(crate) fn random(harness: &mut Harness, width: u32, height: u32) -> Result<LossWorkload> {
         let input = input(harness, width, height);
         LossWorkload::new(harness, input, TEXTURED)

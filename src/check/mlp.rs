@@ -156,6 +156,7 @@ impl MlpWorkload {
     }
 
     /// A pass over `rows` random control points, at one time.
+    #[cfg(feature = "bench")]
     pub(crate) fn random(
         h: &mut Harness,
         shape: NetShape,
