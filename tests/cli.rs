@@ -1552,7 +1552,9 @@ fn gaussians_that_are_not_finite_are_counted() {
     let folder = tempfile::tempdir().unwrap();
     let mut bad = blobs();
     bad.positions[3][1] = f32::NAN;
-    bad.opacity_logits[5] = f32::INFINITY;
+    bad.opacity_logits[5] = f32::NAN;
+    // An opacity of 1, as 8-bit formats have it, is a good one.
+    bad.opacity_logits[6] = f32::INFINITY;
     ply::write(folder.path().join("bad.ply"), &bad).unwrap();
     for command in ["info bad.ply", "render bad.ply -o x"] {
         says(&fails(folder.path(), 1, command), &["2 of 9", "drop_bad"]);
