@@ -28,7 +28,7 @@ use super::outline::{self, Outline, outline};
 use super::path::{Estimate, Pull, bent};
 use super::quantile;
 use super::shape::Shape;
-use super::smooth::{self, Place, Unit};
+use super::smooth::{self, Place};
 
 /// Initial width of the robust kernel of the outline residuals, as a logarithm of depth.
 const SIZED_FIRST: f64 = 1.6;
@@ -324,7 +324,7 @@ fn smoothness(
 ) -> Option<(Estimate, Vec<f64>)> {
     let touching = touching.map(|Estimate { value, deviation }| {
         let inverse = (-value).exp();
-        Unit { inverse, deviation: deviation * inverse }
+        Estimate { value: inverse, deviation: deviation * inverse }
     });
     let known: Vec<Option<f64>> = path.iter().map(|seen| seen.known).collect();
     let begins = known.iter().position(Option::is_some)?;

@@ -1,6 +1,6 @@
 //! The path of an object along the line of sight, bent towards estimates of its depth.
 
-/// The logarithm of a quantity and its standard deviation.
+/// An estimate, mostly of the logarithm of a quantity, and its standard deviation.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Estimate {
     pub value: f64,

@@ -18,6 +18,8 @@ use glam::{DMat3, DVec3};
 use nalgebra::{Cholesky, DMatrix, DVector};
 use std::ops::Range;
 
+use super::path::Estimate;
+
 /// A mover in one frame of its path.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Place {
@@ -42,17 +44,6 @@ pub(super) struct Unit {
     pub inverse: f64,
     /// Standard deviation of `inverse`.
     pub deviation: f64,
-}
-
-impl Unit {
-    /// The mean of two independent estimates, with inverse-variance weights.
-    fn and(self, other: Unit) -> Unit {
-        let (a, b) = (self.deviation.powi(-2), other.deviation.powi(-2));
-        Unit {
-            inverse: (a * self.inverse + b * other.inverse) / (a + b),
-            deviation: (a + b).powf(-0.5),
-        }
-    }
 }
 
 /// The smoothest path.
@@ -90,12 +81,12 @@ const ANY: Range<i32> = -16..10;
 const STIFF: Range<i32> = -2..10;
 
 /// Finds the unit in which a path is smoothest. The places are in order, at equal time steps. `up` is the
-/// upward direction in the world, if known. `known` is an independent estimate of the unit. Returns `None` for
+/// upward direction in the world, if known. `known` is an independent estimate of the unit's inverse. Returns `None` for
 /// fewer than eight places, or if the data do not determine the unit.
 pub(super) fn smoothest(
     all: &[Place],
     up: Option<DVec3>,
-    known: Option<Unit>,
+    known: Option<Estimate>,
 ) -> Option<Smoothest> {
     let step = all.len().div_ceil(MOST).max(1);
     let places: Vec<Place> = all.iter().copied().step_by(step).collect();
@@ -119,7 +110,10 @@ pub(super) fn smoothest(
     };
     let Fit { unit, seen, .. } = chosen?;
     let farther = seen.map(|(seen, per_inverse)| {
-        let more = known.map_or(0.0, |known| unit.and(known).inverse - unit.inverse);
+        let more = known.map_or(0.0, |known| {
+            let own = Estimate { value: unit.inverse, deviation: unit.deviation };
+            own.and(known).value - unit.inverse
+        });
         let at = |k: usize| {
             let relative = places[k].relative;
             let seen = seen[k] + per_inverse[k] * more;
@@ -446,13 +440,13 @@ mod tests {
             Place { relative: 0.5 * (at - place.centre), along: 0.005, off_centre, ..place }
         };
         let drive: Vec<Place> = places(0.006, 0.0005).into_iter().enumerate().map(car).collect();
-        let bend = |known: Option<Unit>| {
+        let bend = |known: Option<Estimate>| {
             let farther = smoothest(&drive, up, known).unwrap().farther.unwrap();
             farther.iter().fold(0.0, |most: f64, by| most.max(by.abs()))
         };
         assert!(bend(None) < 0.002, "{}", bend(None));
         // In a unit that is known, and wrong by 20 %, the smoothest path is another one.
-        let in_unit = |inverse: f64| bend(Some(Unit { inverse, deviation: 1e-15 }));
+        let in_unit = |inverse: f64| bend(Some(Estimate { value: inverse, deviation: 1e-15 }));
         assert!(in_unit(0.6) > 1e-5 && in_unit(0.5) < 1e-6, "{} {}", in_unit(0.6), in_unit(0.5));
     }
 

@@ -35,6 +35,12 @@ const FINEST: f64 = 0.001;
 const MEASURABLE: f64 = 0.05;
 
 impl Focal {
+    /// A focal length that is known and not adjusted.
+    pub fn known(intrinsics: Intrinsics) -> Focal {
+        let source = FocalSource::Given;
+        Focal { intrinsics, source, deviation: 0.0, held: true, prior: None }
+    }
+
     /// The adjustment mode of the focal length.
     pub fn mode(&self) -> FocalMode {
         if self.held { FocalMode::Fixed } else { FocalMode::Gated(MEASURABLE) }

@@ -134,14 +134,7 @@ impl Cameras {
     /// Known cameras, for unit tests.
     #[cfg(test)]
     pub fn known(intrinsics: Intrinsics, poses: Vec<Pose>) -> Cameras {
-        let focal = Focal {
-            intrinsics,
-            source: FocalSource::Given,
-            deviation: 0.0,
-            held: true,
-            prior: None,
-        };
-        Cameras { poses, ..Cameras::new(&focal, 0, 0) }
+        Cameras { poses, ..Cameras::new(&Focal::known(intrinsics), 0, 0) }
     }
 
     fn new(focal: &Focal, frames: usize, tracks: usize) -> Cameras {

@@ -203,7 +203,6 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
 
     use super::*;
-    use crate::track::FocalSource;
     use crate::types::Intrinsics;
 
     const FRAMES: usize = 20;
@@ -222,13 +221,7 @@ mod tests {
     }
 
     fn focal() -> Focal {
-        Focal {
-            intrinsics: Intrinsics::centred(300.0, 320, 180),
-            source: FocalSource::Given,
-            deviation: 0.0,
-            held: true,
-            prior: None,
-        }
+        Focal::known(Intrinsics::centred(300.0, 320, 180))
     }
 
     /// Tracks of eight frames with noise, on a box that rotates by `turn` about the vertical from frame to

@@ -7,7 +7,7 @@ use glam::DQuat;
 use super::super::cameras::{self, Cameras, Focal, Strictness};
 use super::super::objects::Object;
 use super::super::observer::{Progress, Work};
-use super::super::{FocalSource, Stage, quantile};
+use super::super::{Stage, quantile};
 use super::believed::believed;
 use super::joined::Piece;
 use crate::observe::PointTrack;
@@ -65,13 +65,7 @@ impl Clip<'_> {
         if within.len() < LEAST_RUN || inside.len() < LEAST_TRACKS {
             return None;
         }
-        let focal = Focal {
-            intrinsics: self.cameras.intrinsics,
-            source: FocalSource::Given,
-            deviation: 0.0,
-            held: true,
-            prior: None,
-        };
+        let focal = Focal::known(self.cameras.intrinsics);
         self.translating(&within, &focal).or_else(|| self.rotating(within, &focal, &inside))
     }
 
