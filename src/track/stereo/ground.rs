@@ -48,6 +48,22 @@ const EVEN: (f64, f64) = (0.003, 0.05);
 const NEAR: f64 = 0.15;
 /// Factor on the ground's deviation at pixels without a measurement.
 const UNSEEN: f64 = 3.0;
+/// Maximum number of fits to sweeps along the ground's normal, and the median change of the logarithm of depth
+/// below which they end.
+const LEVELLINGS: usize = 8;
+const LEVEL: f64 = 0.001;
+
+/// The planes parallel to the ground that are swept: from `LOWEST` to `HIGHEST` times the ground's inverse
+/// depth, in relative steps of `LEVEL_STEP`.
+const LOWEST: f64 = 0.8;
+const HIGHEST: f64 = 1.25;
+const LEVEL_STEP: f64 = 0.01;
+
+/// The inverse depths of the planes parallel to the ground that are swept, relative to that of the ground.
+pub(super) fn levels() -> Vec<f64> {
+    let n = ((HIGHEST / LOWEST).ln() / LEVEL_STEP).ceil();
+    (0..=n as usize).map(|l| LOWEST * (HIGHEST / LOWEST).powf(l as f64 / n)).collect()
+}
 
 /// A plane in the world.
 #[derive(Clone, Copy, Debug)]
@@ -94,6 +110,49 @@ impl Ground {
         let best = (0..planes.len()).max_by_key(|k| counts[*k])?;
         let plane = planes[best].fitted(&sights)?;
         plane.is_ground(&sights).then_some(plane)
+    }
+
+    /// Refits the plane to what `sweep` measures along its normal, until it no longer changes. A sweep along a
+    /// tilted normal shows the ground with less tilt than it has, so one is not enough. `sweep` returns the
+    /// numbers of some frames and the inverse depths of their ground.
+    pub fn levelled(
+        self,
+        cameras: &Cameras,
+        sweep: impl Fn(&Ground) -> Vec<(usize, Seen)>,
+    ) -> Ground {
+        let (mut ground, mut last) = (self, self);
+        for _ in 0..LEVELLINGS {
+            let measured = sweep(&ground);
+            let per_frame = POINTS / measured.len().max(1);
+            let sights: Vec<Sight> = measured
+                .par_iter()
+                .flat_map(|(frame, seen)| sights_of(cameras, *frame, |_| true, seen, per_frame))
+                .collect();
+            let Some(next) = ground.fitted(&sights) else { break };
+            let changes = |sight| {
+                let off = ground.off(sight)?;
+                Some((next.off(sight)? - off, off - last.off(sight)?))
+            };
+            let changes: Vec<(f64, f64)> = sights.iter().filter_map(changes).collect();
+            // Measured inverse depths tend to the levels of the sweep, so fits alternate about the ground.
+            let alternates = changes.iter().map(|(now, before)| now * before).sum::<f64>() < 0.0;
+            last = ground;
+            ground = if alternates { ground.mean(&next) } else { next };
+            if quantile(changes.iter().map(|(now, _)| now.abs()).collect(), 0.5) < LEVEL {
+                break;
+            }
+        }
+        ground
+    }
+
+    /// The plane halfway between two planes.
+    fn mean(&self, other: &Ground) -> Ground {
+        let length = (self.normal + other.normal).length();
+        Ground {
+            normal: (self.normal + other.normal) / length,
+            level: (self.level + other.level) / length,
+            deviation: 0.5 * (self.deviation + other.deviation),
+        }
     }
 
     /// A known plane, for unit tests.
@@ -214,24 +273,32 @@ fn kernel(off: f64) -> f64 {
 
 /// Measured points, sampled evenly over all frames.
 fn sights(cameras: &Cameras, covered: &[Vec<bool>], seen: &[Seen]) -> Vec<Sight> {
-    let k = &cameras.intrinsics;
-    let width = k.width as usize;
-    let per_frame = (POINTS / seen.len().max(1)).max(100);
+    let most = (POINTS / seen.len().max(1)).max(100);
     let of_frame = |frame: usize| {
-        let (covered, seen) = (&covered[frame], &seen[frame]);
-        let world_from_view = cameras.poses[frame].inverse();
-        let is_known =
-            |i: &usize| !covered[*i] && seen.support[*i] >= 0.5 && seen.inverse_depth[*i] > 0.0;
-        let known: Vec<usize> = (0..covered.len()).filter(is_known).collect();
-        let every = known.len().div_ceil(per_frame).max(1);
-        let sight = |i: &usize| {
-            let view = k.ray(centre(*i, width)) / f64::from(seen.inverse_depth[*i]);
-            Sight { centre: world_from_view.translation, point: world_from_view.apply(view) }
-        };
-        known.iter().step_by(every).map(sight).collect::<Vec<_>>()
+        let is_static = |i: usize| !covered[frame][i];
+        sights_of(cameras, frame, is_static, &seen[frame], most)
     };
-    let frames: Vec<Vec<Sight>> = (0..seen.len()).into_par_iter().map(of_frame).collect();
-    frames.into_iter().flatten().collect()
+    (0..seen.len()).into_par_iter().flat_map(of_frame).collect()
+}
+
+/// At most about `most` measured points of a frame, at the pixels that `takes` accepts.
+fn sights_of(
+    cameras: &Cameras,
+    frame: usize,
+    takes: impl Fn(usize) -> bool,
+    seen: &Seen,
+    most: usize,
+) -> Vec<Sight> {
+    let k = &cameras.intrinsics;
+    let world_from_view = cameras.poses[frame].inverse();
+    let is_known = |i: &usize| takes(*i) && seen.support[*i] >= 0.5 && seen.inverse_depth[*i] > 0.0;
+    let known: Vec<usize> = (0..seen.support.len()).filter(is_known).collect();
+    let every = known.len().div_ceil(most).max(1);
+    let sight = |i: &usize| {
+        let view = k.ray(centre(*i, k.width as usize)) / f64::from(seen.inverse_depth[*i]);
+        Sight { centre: world_from_view.translation, point: world_from_view.apply(view) }
+    };
+    known.iter().step_by(every).map(sight).collect()
 }
 
 #[cfg(test)]
@@ -347,5 +414,31 @@ mod tests {
         covered.iter_mut().for_each(|covered| covered.fill(true));
         assert!(Ground::find(&cameras, &covered, &seen(0.0)).is_none(), "a mover");
         assert!(Ground::find(&cameras, &nothing_moves(), &of(&|_| 0.0)).is_none(), "nothing");
+    }
+
+    #[test]
+    fn levelling_ends_at_the_ground() {
+        let cameras = cameras(0.0);
+        let right = Ground::known(DVec3::NEG_Y, -ABOVE);
+        let tilted = Ground::known(DVec3::new(0.002, -1.0, 0.005).normalize(), -1.015 * ABOVE);
+        let k = &cameras.intrinsics;
+        let d = |ground: &Ground, i: usize| {
+            ground.from(&cameras.poses[0]).unwrap().dot(k.ray(centre(i, WIDTH as usize)))
+        };
+        // A sweep finds a share of the ground's true offset; above one, it finds too much.
+        for share in [0.5, 1.0, 1.9] {
+            let sweep = |ground: &Ground| {
+                let mut seen = seen(0.0).swap_remove(0);
+                for i in 0..PIXELS {
+                    let (now, truth) = (d(ground, i), d(&right, i));
+                    seen.support[i] = f32::from(truth > 0.05 && now > 0.05);
+                    seen.inverse_depth[i] = (now * (truth / now).powf(share)) as f32;
+                }
+                vec![(0, seen)]
+            };
+            let found = tilted.levelled(&cameras, sweep);
+            assert!(found.normal.angle_between(right.normal) < 0.001, "{share}: {found:?}");
+            assert!((found.level / right.level - 1.0).abs() < 0.002, "{share}: {found:?}");
+        }
     }
 }

@@ -8,8 +8,8 @@
 //! |---|---|
 //! | `views` | selects the frames that a frame is compared with, and the inverse depths to test |
 //! | `patch` | the weights of a pixel's neighbours in its patch |
-//! | `sweep` | the matching cost of each pixel at each inverse depth |
-//! | `semi_global` | selects inverse depths so that neighbours agree except at colour edges |
+//! | `sweep` | the matching cost of each pixel on planes that face the camera, and on planes parallel to the ground |
+//! | `semi_global` | selects planes so that neighbours agree except at colour edges |
 //! | `refine` | refines inverse depths to fractions of a level |
 //! | `agree` | cross-checks the inverse depths of several frames; contradicted values are rejected |
 //! | `ground` | the plane that most of the ground lies on |
@@ -22,17 +22,22 @@ mod semi_global;
 mod sweep;
 mod views;
 
+use std::ops::Range;
+
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 use super::Stage;
 use super::cameras::Cameras;
 use super::observer::Work;
+use super::plate;
 use super::residual::Seen;
 use crate::Result;
 use crate::observe::luminance::Luminance;
 use crate::types::Image;
 use agree::Maps;
 pub(super) use ground::Ground;
+use sweep::Planes;
 use views::View;
 
 /// Pixels within this distance of a mover are treated as the mover's, pixels.
@@ -45,8 +50,14 @@ const WITNESSES: (usize, usize) = (2, 1);
 const AGREED: f32 = 0.3;
 /// Memory limit in bytes of the frames that are swept at the same time.
 const MEMORY: usize = 2 << 30;
-/// Share of the work that the sweep takes.
-const SWEEP: f64 = 0.6;
+/// Approximate number of frames that determine the ground's normal.
+const LEVELLED_BY: usize = 8;
+/// Maximum difference of the logarithm of depth between the two sweeps. On a surface without texture that is
+/// not ground, the sweep along the ground's normal has a low cost at any depth.
+const SAME_DEPTH: f32 = 0.1;
+/// Shares of the work that are done after the sweep along the line of sight, and after that along the
+/// ground's normal.
+const SWEEPS: (f64, f64) = (0.55, 0.65);
 
 /// Measures the inverse depths of all frames, starting from those of `flow`. The values of `flow` are kept at
 /// movers (`masks`) and where no other frame shows a pixel. Support is 0 where no value is reliable. `part`
@@ -61,7 +72,7 @@ pub(super) fn measure(
     flow: &[Seen],
     work: &mut Work,
     part: &str,
-    shares: std::ops::Range<f64>,
+    shares: Range<f64>,
 ) -> Result<Measured> {
     let covered: Vec<Vec<bool>> = masks.par_iter().map(|mask| mask.near(MARGIN)).collect();
     let pictures: Vec<Vec<f32>> =
@@ -70,21 +81,21 @@ pub(super) fn measure(
         (0..frames.len()).map(|frame| views::views(cameras, frame)).collect();
     let levels: Vec<Vec<f64>> =
         views.iter().zip(flow).map(|(views, flow)| views::levels(flow, views)).collect();
-    let clip = Clip { frames, cameras, pictures: &pictures, views: &views, levels: &levels, flow };
-    let middle = shares.start + SWEEP * (shares.end - shares.start);
-
-    let pixels = pictures.first().map_or(0, Vec::len);
-    let at_once = (MEMORY / sweep::memory(pixels).max(1)).max(1);
-    let sweep = |range: std::ops::Range<usize>| {
-        let frames: Vec<usize> = range.collect();
-        let some = frames.chunks(at_once);
-        some.flat_map(|some| some.par_iter().map(|f| clip.swept(*f)).collect::<Vec<_>>()).collect()
+    let clip = Clip {
+        frames,
+        cameras,
+        covered: &covered,
+        pictures: &pictures,
+        views: &views,
+        levels: &levels,
+        flow,
     };
-    let (name, n) = (format!("{part}/sweep"), frames.len());
-    let swept: Vec<Seen> = work.frames(&name, n, sweep, Stage::Depth, shares.start..middle)?;
+    let n = frames.len();
+    let middle = shares.start + SWEEPS.1 * (shares.end - shares.start);
+    let swept = clip.sweep(work, part, shares.start..middle)?;
 
     let smooth: Vec<Luminance> = frames.par_iter().map(Luminance::of).collect();
-    let refine = |range: std::ops::Range<usize>| {
+    let refine = |range: Range<usize>| {
         let of = |f: usize| {
             let pictures = refine::Pictures { frames, smooth: &smooth };
             refine::frame(pictures, cameras, &covered[f], &swept[f], &views[f], f)
@@ -94,8 +105,7 @@ pub(super) fn measure(
     let name = format!("{part}/refine");
     let refined: Vec<Seen> = work.frames(&name, n, refine, Stage::Depth, middle..shares.end)?;
 
-    let maps = Maps { cameras, seen: &refined, covered: &covered, views: &views, levels: &levels };
-    let mut seen: Vec<Seen> = (0..n).map(|f| believed(&maps, &swept[f], &flow[f], f)).collect();
+    let mut seen = clip.agreed(&refined, &swept);
     let ground = Ground::find(cameras, &covered, &seen);
     if let Some(ground) = &ground {
         ground.settle(cameras, &covered, &mut seen);
@@ -115,6 +125,8 @@ pub(super) struct Measured {
 struct Clip<'a> {
     frames: &'a [Image],
     cameras: &'a Cameras,
+    /// The pixels that movers cover.
+    covered: &'a [Vec<bool>],
     /// Luminance from [`sweep::luminance`].
     pictures: &'a [Vec<f32>],
     views: &'a [Vec<View>],
@@ -122,36 +134,140 @@ struct Clip<'a> {
     flow: &'a [Seen],
 }
 
+/// The result of a sweep over the planes of one direction.
+#[derive(Serialize, Deserialize)]
+struct Swept {
+    seen: Seen,
+    /// The cost of each pixel's inverse depth, summed over the directions of semi-global matching.
+    costs: Vec<i16>,
+}
+
 impl Clip<'_> {
-    /// A frame's inverse depths at the best levels; those of flow if there is nothing to compare with.
-    fn swept(&self, frame: usize) -> Seen {
-        let (levels, flow) = (&self.levels[frame], &self.flow[frame]);
+    /// The inverse depths of all frames from a sweep of planes that face the camera and, if the ground is
+    /// found in them, from a sweep along its normal.
+    fn sweep(&self, work: &mut Work, part: &str, shares: Range<f64>) -> Result<Vec<Seen>> {
+        let n = self.frames.len();
+        let middle = shares.start + SWEEPS.0 / SWEEPS.1 * (shares.end - shares.start);
+        let of_range = |range: Range<usize>| self.limited(range.collect(), |f| self.swept(f));
+        let stage = Stage::Depth;
+        let facing: Vec<Swept> =
+            work.frames(&format!("{part}/sweep"), n, of_range, stage, shares.start..middle)?;
+        let mut seen: Vec<Seen> = facing.iter().map(|facing| facing.seen.clone()).collect();
+        let Some(ground) = Ground::find(self.cameras, self.covered, &self.agreed(&seen, &seen))
+        else {
+            return Ok(seen);
+        };
+        let some: Vec<usize> = (0..n).step_by(n.div_ceil(LEVELLED_BY)).collect();
+        let ground = ground.levelled(self.cameras, |ground| {
+            self.limited(some.clone(), |f| (f, self.ground(ground, f, &facing[f])))
+        });
+        let of_range = |range: Range<usize>| {
+            self.limited(range.collect(), |f| self.ground(&ground, f, &facing[f]))
+        };
+        let grounds: Vec<Seen> =
+            work.frames(&format!("{part}/ground"), n, of_range, stage, middle..shares.end)?;
+        for (seen, ground) in seen.iter_mut().zip(&grounds) {
+            for i in (0..ground.support.len()).filter(|i| ground.support[*i] > 0.0) {
+                seen.inverse_depth[i] = ground.inverse_depth[i];
+                seen.deviation[i] = ground.deviation[i];
+            }
+        }
+        Ok(seen)
+    }
+
+    /// Runs `of` for some frames, as many at a time as memory allows.
+    fn limited<T: Send>(&self, frames: Vec<usize>, of: impl Fn(usize) -> T + Sync) -> Vec<T> {
+        let pixels = self.pictures.first().map_or(0, Vec::len);
+        let at_once = (MEMORY / sweep::memory(pixels).max(1)).max(1);
+        let chunks = frames.chunks(at_once);
+        chunks.flat_map(|some| some.par_iter().map(|f| of(*f)).collect::<Vec<_>>()).collect()
+    }
+
+    /// What the frames believe after each has been compared with the others; see [`believed`].
+    fn agreed(&self, measured: &[Seen], swept: &[Seen]) -> Vec<Seen> {
+        let maps = Maps {
+            cameras: self.cameras,
+            seen: measured,
+            covered: self.covered,
+            views: self.views,
+            levels: self.levels,
+        };
+        (0..swept.len()).map(|f| believed(&maps, &swept[f], &self.flow[f], f)).collect()
+    }
+
+    /// Whether a frame can be compared with others.
+    fn has_patches(&self, frame: usize) -> bool {
         let image = &self.frames[frame];
         let no_patch = image.width.min(image.height) as usize <= 2 * patch::RADIUS;
-        if levels.len() < 2 || no_patch {
-            return flow.clone();
-        }
-        let views = &self.views[frame];
-        let mut volume = sweep::volume(image, self.pictures, self.cameras, frame, views, levels);
+        self.levels[frame].len() >= 2 && !no_patch
+    }
+
+    /// A frame's inverse depths from planes that face the camera; those of flow if there is nothing to
+    /// compare with.
+    fn swept(&self, frame: usize) -> Swept {
+        let (levels, flow) = (&self.levels[frame], &self.flow[frame]);
         let n = flow.inverse_depth.len();
-        for i in (0..n).filter(|i| !self.pictures[frame][*i].is_nan() && views::certain(flow, *i)) {
-            volume.prefer(i, views::nearest(levels, f64::from(flow.inverse_depth[i])));
+        if !self.has_patches(frame) {
+            return Swept { seen: flow.clone(), costs: vec![0; n] };
         }
-        let mut out = Seen {
+        let prefer = |volume: &mut sweep::Volume| {
+            let known = |i: &usize| !self.pictures[frame][*i].is_nan() && views::certain(flow, *i);
+            for i in (0..n).filter(known) {
+                volume.prefer(i, views::nearest(levels, f64::from(flow.inverse_depth[i])));
+            }
+        };
+        self.matched(frame, &Planes::facing(levels.clone()), prefer)
+    }
+
+    /// The inverse depths of the pixels that lie on planes parallel to the ground; the support is 0 elsewhere.
+    /// These pixels match such planes at a lower cost than planes that face the camera, which `facing` is
+    /// from, at nearly the same inverse depth (plane sweeps in several directions: Gallup et al. 2007). On
+    /// planes that face the camera, the ground is a staircase that semi-global matching makes too flat.
+    fn ground(&self, ground: &Ground, frame: usize, facing: &Swept) -> Seen {
+        let base = ground.from(&self.cameras.poses[frame]).filter(|_| self.has_patches(frame));
+        let Some(base) = base else {
+            let support = vec![0.0; facing.costs.len()];
+            return Seen { support, ..facing.seen.clone() };
+        };
+        let planes = Planes { base, levels: ground::levels() };
+        let Swept { mut seen, costs } = self.matched(frame, &planes, |_| ());
+        for i in 0..costs.len() {
+            // This is also false above the horizon, where inverse depths on the planes are negative.
+            let off = (seen.inverse_depth[i] / facing.seen.inverse_depth[i]).ln().abs();
+            let cheaper = costs[i] < facing.costs[i];
+            let is_ground = cheaper && off < SAME_DEPTH && !self.pictures[frame][i].is_nan();
+            seen.support[i] = f32::from(is_ground);
+        }
+        seen
+    }
+
+    /// The best plane for each pixel of a frame. `adjust` changes the costs before the planes are selected.
+    fn matched(&self, frame: usize, planes: &Planes, adjust: impl Fn(&mut sweep::Volume)) -> Swept {
+        let (image, k) = (&self.frames[frame], &self.cameras.intrinsics);
+        let Planes { base, levels } = planes;
+        let views = &self.views[frame];
+        let mut volume = sweep::volume(image, self.pictures, self.cameras, frame, views, planes);
+        adjust(&mut volume);
+        let n = self.flow[frame].inverse_depth.len();
+        let mut seen = Seen {
             inverse_depth: vec![0.0; n],
             deviation: vec![0.0; n],
             score: vec![0.0; n],
             support: vec![1.0; n],
         };
+        let mut costs = vec![0; n];
         let sums = semi_global::sums(&volume, image);
         for (i, sums) in sums.chunks_exact(levels.len()).enumerate() {
-            let level = semi_global::best(sums);
+            let (level, cost) = semi_global::best(sums);
             let low = (level as usize).min(levels.len() - 2);
             let step = levels[low + 1] - levels[low];
-            out.inverse_depth[i] = (levels[low] + step * (level - low as f64)) as f32;
-            out.deviation[i] = (0.5 * step) as f32;
+            let scale = base.dot(k.ray(plate::centre(i, k.width as usize)));
+            let d = scale * (levels[low] + step * (level - low as f64));
+            seen.inverse_depth[i] = d as f32;
+            seen.deviation[i] = (0.5 * step * scale.abs()) as f32;
+            costs[i] = cost;
         }
-        out
+        Swept { seen, costs }
     }
 }
 
@@ -186,6 +302,7 @@ fn believed(maps: &Maps, swept: &Seen, flow: &Seen, frame: usize) -> Seen {
 
 #[cfg(test)]
 mod tests {
+    use super::super::quantile;
     use super::super::sliding::*;
     use super::*;
 
@@ -267,6 +384,47 @@ mod tests {
             }
         }
         assert!(wrong * 25 < all, "{wrong} of {all}");
+    }
+
+    #[test]
+    fn ground_is_measured_along_its_normal() {
+        // The ground falls away from the wall towards the camera. Its texture is faint, and flow makes it too
+        // flat.
+        let k = cameras(STEP).intrinsics;
+        let inverse_depth = |i: usize| 1.0 / WALL + 1.6 * k.ray(centre(i)).y.max(0.0);
+        let is_ground = |i: usize| inverse_depth(i) > 1.0 / WALL;
+        let frames: Vec<Image> = painted()
+            .into_iter()
+            .enumerate()
+            .map(|(frame, mut image)| {
+                for (i, out) in image.pixels.chunks_exact_mut(3).enumerate() {
+                    let p = k.ray(centre(i)) / inverse_depth(i);
+                    if is_ground(i) {
+                        let x = p.x + STEP * frame as f64;
+                        let wave = (30.0 * x + p.z).sin() * (4.0 * p.z - x).cos();
+                        out.fill((0.3 + 0.03 * wave) as f32);
+                    }
+                }
+                image
+            })
+            .collect();
+        let mut flow = wrong();
+        for seen in &mut flow {
+            for i in (0..seen.support.len()).filter(|i| is_ground(*i)) {
+                let d = inverse_depth(i);
+                seen.inverse_depth[i] = (0.45 + 0.85 * (d - 0.45)) as f32;
+                seen.deviation[i] = (0.02 * d) as f32;
+            }
+        }
+        let seen = measured(&frames, &still(), &flow);
+        let off = |i: usize| (f64::from(seen.inverse_depth[i]) / inverse_depth(i)).ln();
+        let rows = |low: f64, high: f64| {
+            let inside = |i: &usize| within(centre(*i), (4.0, low), (60.0, high)) && is_ground(*i);
+            (0..seen.support.len()).filter(inside).map(off).collect::<Vec<f64>>()
+        };
+        let (far, near) = (quantile(rows(23.0, 29.0), 0.5), quantile(rows(32.0, 37.0), 0.5));
+        let typical = quantile(rows(23.0, 37.0).iter().map(|off| off.abs()).collect(), 0.5);
+        assert!(far.abs() < 0.01 && near.abs() < 0.01 && typical < 0.01, "{far} {near} {typical}");
     }
 
     #[test]

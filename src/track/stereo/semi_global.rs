@@ -102,16 +102,17 @@ fn carry(last: &[i16], costs: &[u8], jump: i16, carried: &mut [i16], sum: &mut [
     }
 }
 
-/// The level with the least sum, at fractions: the vertex of the parabola through the least sum and its
-/// neighbours.
-pub(super) fn best(sums: &[i16]) -> f64 {
+/// The level with the least sum, at fractions, and that sum. The fraction is the vertex of the parabola
+/// through the least sum and its neighbours.
+pub(super) fn best(sums: &[i16]) -> (f64, i16) {
     let (l, &least) = sums.iter().enumerate().min_by_key(|(_, sum)| **sum).unwrap();
     if l == 0 || l + 1 == sums.len() {
-        return l as f64;
+        return (l as f64, least);
     }
     let [a, b, c] = [sums[l - 1], least, sums[l + 1]].map(f64::from);
     let bend = a - 2.0 * b + c;
-    if bend > 0.0 { l as f64 + (0.5 * (a - c) / bend).clamp(-0.5, 0.5) } else { l as f64 }
+    let off = if bend > 0.0 { (0.5 * (a - c) / bend).clamp(-0.5, 0.5) } else { 0.0 };
+    (l as f64 + off, least)
 }
 
 #[cfg(test)]
@@ -138,7 +139,7 @@ mod tests {
     }
 
     fn levels(volume: &Volume, image: &Image) -> Vec<f64> {
-        sums(volume, image).chunks_exact(LEVELS).map(best).collect()
+        sums(volume, image).chunks_exact(LEVELS).map(|sums| best(sums).0).collect()
     }
 
     #[test]
@@ -165,8 +166,9 @@ mod tests {
     fn the_vertex_between_levels_is_found() {
         // 4 (l − 3.25)² at whole numbers.
         let sums: Vec<i16> = (0..8).map(|l| (4.0 * (f64::from(l) - 3.25).powi(2)) as i16).collect();
-        assert!((best(&sums) - 3.25).abs() < 0.1, "{}", best(&sums));
-        assert_eq!(best(&[1, 2, 3]), 0.0);
-        assert_eq!(best(&[5]), 0.0);
+        let (level, least) = best(&sums);
+        assert!((level - 3.25).abs() < 0.1 && least == sums[3], "{level}");
+        assert_eq!(best(&[1, 2, 3]), (0.0, 1));
+        assert_eq!(best(&[5]), (0.0, 5));
     }
 }

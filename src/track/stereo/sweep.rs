@@ -1,8 +1,10 @@
-//! The matching cost of each pixel against the other frames at each inverse depth.
+//! The matching cost of each pixel against the other frames on each of a set of planes.
 //!
-//! A plane sweep (Collins 1996): at each inverse depth the other frames are warped into this one, and the
-//! patches around each pixel are compared by normalised correlation. Only the better half of the frames
-//! counts, because the point may be hidden in the others.
+//! A plane sweep (Collins 1996): for each plane the other frames are warped into this one, and the patches
+//! around each pixel are compared by normalised correlation. Only the better half of the frames counts,
+//! because the point may be hidden in the others.
+
+use glam::{DVec2, DVec3};
 
 use super::super::cameras::Cameras;
 use super::patch::{self, RADIUS, neighbours};
@@ -15,6 +17,21 @@ const NOISE: f32 = 0.01;
 const WORST: f32 = 100.0;
 /// Maximum extra cost of the levels away from a preferred one.
 const UNLIKE: usize = 6;
+
+/// The planes of a sweep, which are parallel to each other.
+pub(super) struct Planes {
+    /// The inverse depth of plane `l` at a pixel is `levels[l]` times the dot product of `base` with the
+    /// pixel's ray.
+    pub base: DVec3,
+    pub levels: Vec<f64>,
+}
+
+impl Planes {
+    /// Planes that face the camera, at these inverse depths.
+    pub fn facing(levels: Vec<f64>) -> Planes {
+        Planes { base: DVec3::Z, levels }
+    }
+}
 
 /// The cost volume: costs per pixel and level, levels contiguous.
 pub(super) struct Volume {
@@ -60,8 +77,9 @@ pub(super) fn volume(
     cameras: &Cameras,
     frame: usize,
     views: &[View],
-    levels: &[f64],
+    planes: &Planes,
 ) -> Volume {
+    let levels = &planes.levels;
     let k = &cameras.intrinsics;
     let (width, height) = (k.width as usize, k.height as usize);
     let n = width * height;
@@ -71,7 +89,7 @@ pub(super) fn volume(
     let mut compared = vec![vec![0.0f32; n]; views.len()];
     for (l, &level) in levels.iter().enumerate() {
         for (view, out) in views.iter().zip(&mut compared) {
-            draw(&pictures[view.frame], cameras, view, level, &mut drawn);
+            draw(&pictures[view.frame], cameras, view, planes.base * level, &mut drawn);
             own.compare(&drawn, out);
         }
         better_half(&mut compared);
@@ -84,14 +102,16 @@ pub(super) fn volume(
     Volume { width, height, levels: levels.len(), costs }
 }
 
-/// Warps another frame into this one as if everything were at one inverse depth; NaN outside.
-fn draw(picture: &[f32], cameras: &Cameras, view: &View, level: f64, out: &mut [f32]) {
+/// Warps another frame into this one as if everything were on one plane; NaN outside. The plane's inverse
+/// depth at a pixel is the dot product of `plane` with the pixel's ray.
+fn draw(picture: &[f32], cameras: &Cameras, view: &View, plane: DVec3, out: &mut [f32]) {
     let k = &cameras.intrinsics;
     let (width, height) = (k.width as usize, k.height as usize);
-    let (rotation, t) = (view.view_from_frame.rotation, view.view_from_frame.translation * level);
+    let (rotation, t) = (view.view_from_frame.rotation, view.view_from_frame.translation);
     // The homogeneous coordinates are affine in the pixel.
     let at = |x: f64, y: f64| {
-        let p = rotation * k.ray(glam::DVec2::new(x, y)) + t;
+        let ray = k.ray(DVec2::new(x, y));
+        let p = rotation * ray + t * plane.dot(ray);
         [k.fx * p.x + (k.cx - 0.5) * p.z, k.fy * p.y + (k.cy - 0.5) * p.z, p.z]
     };
     let origin = at(0.5, 0.5);
@@ -234,16 +254,18 @@ mod tests {
         let mut pictures: Vec<Vec<f32>> = frames.iter().map(|f| luminance(f, &still)).collect();
         let views = views::views(&cameras, 2);
         let levels: Vec<f64> = (1..12).map(|l| 0.05 * f64::from(l)).collect();
-        let right = levels.iter().position(|l| (l * sliding::WALL - 1.0).abs() < 1e-9).unwrap();
+        let planes = Planes::facing(levels);
+        let right =
+            planes.levels.iter().position(|l| (l * sliding::WALL - 1.0).abs() < 1e-9).unwrap();
         let middle = 20 * sliding::WIDTH as usize + 32;
-        let found = volume(&frames[2], &pictures, &cameras, 2, &views, &levels);
+        let found = volume(&frames[2], &pictures, &cameras, 2, &views, &planes);
         let costs = found.of(middle);
         assert!(costs[right] < 5, "{costs:?}");
         for (l, cost) in costs.iter().enumerate() {
             assert!(l.abs_diff(right) < 2 || *cost > costs[right] + 20, "{l}: {costs:?}");
         }
         pictures[2] = luminance(&frames[2], &vec![true; still.len()]);
-        let found = volume(&frames[2], &pictures, &cameras, 2, &views, &levels);
+        let found = volume(&frames[2], &pictures, &cameras, 2, &views, &planes);
         assert!(found.costs.iter().all(|cost| *cost == 100));
     }
 
