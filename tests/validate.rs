@@ -212,6 +212,25 @@ fn both_scans_run_with_a_count_below_the_capacity() {
     assert_eq!(under(Profile::GPU), four);
 }
 
+/// Pipelines that require a subgroup size are valid and right, with workgroups that are smaller than a
+/// subgroup, as large, and larger.
+#[test]
+fn cases_pass_with_a_required_subgroup_size() {
+    let device = common::device();
+    let families = ["indirect/", "mlp/", "raster/", "scan/", "sort/"];
+    let chosen = |case: &&Case| {
+        check::QUICK.contains(&case.id) && families.iter().any(|family| case.id.starts_with(family))
+    };
+    for &size in device.subgroup_sizes() {
+        let requiring = device.with_subgroup_size(size).unwrap();
+        for case in cases().filter(chosen) {
+            let outcome = check::run(case, &requiring, 3);
+            assert!(outcome.passed(), "subgroups of {size}: {outcome:#?}");
+        }
+    }
+    common::assert_valid(&device);
+}
+
 /// The families whose ops return gradients.
 #[test]
 fn every_differentiable_op_is_held_against_central_differences() {

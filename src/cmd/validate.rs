@@ -22,10 +22,10 @@ use super::rows::{Row, devices_json, junit, table};
 use super::values;
 
 const AFTER_HELP: &str = "\
-Every kernel runs on the device, in its variants for GPUs and for software drivers, and is held
-against the CPU's f64 oracle, on ordinary and on hard inputs, twice, with poisoned outputs between
-guard words. A case fails that misses its bound, writes
-outside of its outputs, gives other bits the second time, or makes the validation layer speak.
+Every kernel runs on the device, in its variants for GPUs and for software drivers and with every
+subgroup size that the driver lets it require, and is held against the CPU's f64 oracle, on ordinary and
+on hard inputs, twice, with poisoned outputs between guard words. A case fails that misses its bound,
+writes outside of its outputs, gives other bits the second time, or makes the validation layer speak.
 \"f32 itself\" is the error of the same oracle in f32: where it misses the bound too, the device is not
 to blame. Exit code 1 on any failure.
 
