@@ -325,6 +325,32 @@ mod command {
     }
 
     #[test]
+    fn a_page_holds_device_and_cases() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("page.html");
+        let file = file.to_str().unwrap();
+        let output = validate(&["--filter", "scan/", "--seed", "5", "--report", file]);
+        assert_eq!(output.status.code(), Some(0));
+        let answer = json(&output);
+        let page = std::fs::read_to_string(file).unwrap();
+        let text = |value: &Value| splat4d::report::escape(value.as_str().unwrap());
+        for key in ["name", "driver"] {
+            let value = text(&answer["devices"][0][key]);
+            assert!(page.contains(&value), "{value}");
+        }
+        for row in answer["rows"].as_array().unwrap() {
+            assert!(page.contains(&text(&row["case"])), "{row}");
+        }
+        for part in ["all with scan/ in their name", "Subgroup size", "Vulkan loader", "None of"] {
+            assert!(page.contains(part), "{part}");
+        }
+        let output = validate(&["--filter", "scan/", "--report", file, "--junit", file]);
+        assert_eq!(output.status.code(), Some(1));
+        let error = json(&output)["error"].as_str().unwrap().to_owned();
+        assert!(error.contains("cannot both be written there"), "{error}");
+    }
+
+    #[test]
     fn says_which_families_there_are() {
         let output = validate(&["--filter", "nonsense"]);
         assert_eq!(output.status.code(), Some(1));
