@@ -203,6 +203,38 @@ fn a_profile_is_that_of_the_kind_of_device_unless_requested() {
 }
 
 #[test]
+fn kernels_run_with_every_subgroup_size_that_they_can_require() {
+    let device = common::device();
+    let sizes = device.subgroup_sizes();
+    assert!(sizes.iter().all(|size| size.is_power_of_two() && *size >= 4), "{sizes:?}");
+    let grid_of = |device: &Device| {
+        let mut stream = device.stream().unwrap();
+        let counts = device.upload("count", &[1000u32]).unwrap();
+        let mut grid = device.buffer::<u32>("grid", 3).unwrap();
+        let mut recorder = stream.record().unwrap();
+        indirect::record_arguments(&mut recorder, counts.view(), 0, 1000, 10, grid.view_mut(), 0)
+            .unwrap();
+        stream.submit(recorder).unwrap();
+        stream.download(&grid).unwrap()
+    };
+    let expected = [100, 1, 1];
+    assert_eq!(grid_of(&device), expected);
+    for (i, &size) in sizes.iter().enumerate() {
+        let device = device.with_subgroup_size(size).unwrap();
+        assert_eq!(device.subgroup_size(), size);
+        assert_eq!(device.with_profile(*device.profile()).subgroup_size(), size);
+        assert_eq!(grid_of(&device), expected);
+        assert_eq!(device.pipelines(), 2 + i, "a pipeline for each size");
+        assert_eq!(grid_of(&device), expected);
+        assert_eq!(device.pipelines(), 2 + i, "compiled once");
+    }
+    assert_eq!(device.subgroup_size(), device.info().subgroup_size);
+    let error = device.with_subgroup_size(3).err().expect("no power of two").to_string();
+    assert!(error.contains("subgroups of 3"), "{error}");
+    common::assert_valid(&device);
+}
+
+#[test]
 fn a_binding_beyond_the_limit_is_named() {
     let mut limits = *common::device().limits();
     limits.storage_range = 1024;

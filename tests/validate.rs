@@ -212,6 +212,25 @@ fn both_scans_run_with_a_count_below_the_capacity() {
     assert_eq!(under(Profile::GPU), four);
 }
 
+/// Pipelines that require a subgroup size are valid and right, with workgroups that are smaller than a
+/// subgroup, as large, and larger.
+#[test]
+fn cases_pass_with_a_required_subgroup_size() {
+    let device = common::device();
+    let families = ["indirect/", "mlp/", "raster/", "scan/", "sort/"];
+    let chosen = |case: &&Case| {
+        check::QUICK.contains(&case.id) && families.iter().any(|family| case.id.starts_with(family))
+    };
+    for &size in device.subgroup_sizes() {
+        let requiring = device.with_subgroup_size(size).unwrap();
+        for case in cases().filter(chosen) {
+            let outcome = check::run(case, &requiring, 3);
+            assert!(outcome.passed(), "subgroups of {size}: {outcome:#?}");
+        }
+    }
+    common::assert_valid(&device);
+}
+
 /// The families whose ops return gradients.
 #[test]
 fn every_differentiable_op_is_held_against_central_differences() {
@@ -303,6 +322,32 @@ mod command {
         let output = validate(&["--filter", "scan/", "--junit", folder.path().to_str().unwrap()]);
         assert_eq!(output.status.code(), Some(1));
         assert!(json(&output)["error"].as_str().unwrap().contains("is a folder"));
+    }
+
+    #[test]
+    fn a_page_holds_device_and_cases() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("page.html");
+        let file = file.to_str().unwrap();
+        let output = validate(&["--filter", "scan/", "--seed", "5", "--report", file]);
+        assert_eq!(output.status.code(), Some(0));
+        let answer = json(&output);
+        let page = std::fs::read_to_string(file).unwrap();
+        let text = |value: &Value| splat4d::report::escape(value.as_str().unwrap());
+        for key in ["name", "driver"] {
+            let value = text(&answer["devices"][0][key]);
+            assert!(page.contains(&value), "{value}");
+        }
+        for row in answer["rows"].as_array().unwrap() {
+            assert!(page.contains(&text(&row["case"])), "{row}");
+        }
+        for part in ["all with scan/ in their name", "Subgroup size", "Vulkan loader", "None of"] {
+            assert!(page.contains(part), "{part}");
+        }
+        let output = validate(&["--filter", "scan/", "--report", file, "--junit", file]);
+        assert_eq!(output.status.code(), Some(1));
+        let error = json(&output)["error"].as_str().unwrap().to_owned();
+        assert!(error.contains("cannot both be written there"), "{error}");
     }
 
     #[test]

@@ -135,6 +135,14 @@ test_python() {
             "$target/pytest/bin/python" -m pytest -p no:cacheprovider -ra --durations=3 tools/python/tests
 }
 
+# validate_subgroups N: the quick cases on lavapipe with subgroups of N. It makes them as wide as the
+# processor's vectors, unless told otherwise.
+validate_subgroups() {
+    local program=$target/release/splat4d
+    local -x VK_DRIVER_FILES=$lavapipe LP_NATIVE_VECTOR_WIDTH=$((32 * $1))
+    "$program" devices | grep -F "subgroups of $1;" && "$program" validate --quick
+}
+
 test=(cargo test "${release[@]}" --no-fail-fast)
 show=(-- --show-output)
 
@@ -157,6 +165,10 @@ step "wgpu host on SwiftShader" on "$swiftshader" "$target/release/wgpu-host" --
 step "examples" on "$lavapipe" run_examples
 step "doc tests" on "$lavapipe" "${test[@]}" --doc
 step "kernels on lavapipe" on "$lavapipe" "${test[@]}" "${kernel_tests[@]}" "${show[@]}"
+step "subgroups of 4 on lavapipe" validate_subgroups 4
+if grep -qw avx512f /proc/cpuinfo; then
+    step "subgroups of 16 on lavapipe" validate_subgroups 16
+fi
 step "kernels on SwiftShader" on "$swiftshader" "${test[@]}" "${kernel_tests[@]}" "${show[@]}"
 if ((${#end_to_end[@]})); then
     # Without the layer, and so on every core: it slows long runs down, and each kernel has passed under

@@ -1,5 +1,7 @@
 //! The comparison of one output with its reference: the error, and whether it is within its bound.
 
+use std::fmt::Debug;
+
 /// The error bound of an output: `absolute + relative · |truth|`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bound {
@@ -35,6 +37,10 @@ pub struct Finding {
     pub worst_of_bound: f64,
     /// Index of the value with the largest fraction of its bound.
     pub worst_at: usize,
+    /// What the device gave at this index, as text; "none" if it gave fewer values.
+    pub got: String,
+    /// The true value at this index, as text; "none" if there are fewer.
+    pub expected: String,
     /// Largest difference between the oracle in f32 and in f64, if the f32 result was given.
     pub oracle_f32_absolute: Option<f64>,
     /// The same as a fraction of the bound; above 1, f32 itself cannot meet the bound.
@@ -44,7 +50,7 @@ pub struct Finding {
 }
 
 /// Compares for equality, element by element.
-pub(super) fn exact<T: PartialEq>(output: &str, device: &[T], truth: &[T]) -> Finding {
+pub(super) fn exact<T: PartialEq + Debug>(output: &str, device: &[T], truth: &[T]) -> Finding {
     let wrong = (0..device.len().max(truth.len())).find(|&i| device.get(i) != truth.get(i));
     let worst = if wrong.is_some() { f64::INFINITY } else { 0.0 };
     Finding {
@@ -56,6 +62,8 @@ pub(super) fn exact<T: PartialEq>(output: &str, device: &[T], truth: &[T]) -> Fi
         worst_ulp: None,
         worst_of_bound: worst,
         worst_at: wrong.unwrap_or(0),
+        got: text_at(device, wrong.unwrap_or(0)),
+        expected: text_at(truth, wrong.unwrap_or(0)),
         oracle_f32_absolute: None,
         oracle_f32_of_bound: None,
         passed: wrong.is_none(),
@@ -88,7 +96,9 @@ fn compare(
         worst_relative: 0.0,
         worst_ulp: None,
         worst_of_bound: if values.len() == truth.len() { 0.0 } else { f64::INFINITY },
-        worst_at: 0,
+        worst_at: if values.len() == truth.len() { 0 } else { values.len().min(truth.len()) },
+        got: String::new(),
+        expected: String::new(),
         oracle_f32_absolute: None,
         oracle_f32_of_bound: None,
         passed: false,
@@ -115,7 +125,14 @@ fn compare(
         }
     }
     finding.passed = finding.worst_of_bound <= 1.0;
+    finding.got = text_at(values, finding.worst_at);
+    finding.expected = text_at(truth, finding.worst_at);
     finding
+}
+
+/// The value at an index as text from which it can be read back.
+fn text_at<T: Debug>(values: &[T], at: usize) -> String {
+    values.get(at).map_or("none".to_owned(), |value| format!("{value:?}"))
 }
 
 /// The distance from a number, as f32, to the next larger f32.
@@ -141,6 +158,21 @@ mod tests {
         assert!(!passes(f32::INFINITY, 1.0) && !passes(f32::NEG_INFINITY, f64::INFINITY));
         assert!(!close("x", &[1.0], &[1.0, 2.0], BOUND).passed, "a length that differs");
         assert!(!exact("x", &[1u32], &[1, 2]).passed && exact("x", &[1u32], &[1]).passed);
+    }
+
+    #[test]
+    fn a_finding_has_the_two_values_at_its_place() {
+        let seen = |f: Finding| (f.worst_at, f.got, f.expected);
+        let of = |at: usize, got: &str, expected: &str| (at, got.to_owned(), expected.to_owned());
+        let found = close("x", &[1.0, 0.1, 3.0], &[1.0, f64::from(0.3f32), 3.0], BOUND);
+        assert_eq!(seen(found), of(1, "0.1", "0.30000001192092896"));
+        assert_eq!(seen(close("x", &[f32::NAN], &[1.0], BOUND)), of(0, "NaN", "1.0"));
+        assert_eq!(seen(close("x", &[1.0], &[1.0, 2.0], BOUND)), of(1, "none", "2.0"));
+        assert_eq!(
+            seen(exact("x", &[[1, 2], [3, 4]], &[[1, 2], [3, 5]])),
+            of(1, "[3, 4]", "[3, 5]")
+        );
+        assert_eq!(seen(exact("x", &[7u32, 8], &[7])), of(1, "8", "none"));
     }
 
     #[test]

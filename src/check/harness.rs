@@ -7,6 +7,7 @@ use crate::gpu::{Buffer, Device, Stream, View, ViewMut};
 use bytemuck::{NoUninit, Pod};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
+use std::fmt::Debug;
 use std::hash::{DefaultHasher, Hasher};
 
 /// Bytes of guard words on each side of an output; every device's alignment divides it.
@@ -131,7 +132,12 @@ impl Harness {
     }
 
     /// Compares integers (or other types with equality) with the true values.
-    pub fn exact<T: PartialEq + NoUninit>(&mut self, output: &str, device: &[T], truth: &[T]) {
+    pub fn exact<T: PartialEq + NoUninit + Debug>(
+        &mut self,
+        output: &str,
+        device: &[T],
+        truth: &[T],
+    ) {
         self.note(device);
         self.findings.push(finding::exact(output, device, truth));
     }

@@ -4,8 +4,9 @@
 //! compares with the oracle in f32, so that a report can distinguish a device fault from the limits
 //! of f32. Outputs are poisoned before a run and lie between guard words ([`Guarded`]). Every case
 //! runs under each [`Profile`], so that the variants of kernels for GPUs are checked on software drivers
-//! too. It runs twice, and both runs must give the same bits. What a case covers is what it was seen to
-//! dispatch: [`Outcome::dispatched`].
+//! too, and with each subgroup size that the driver lets kernels require. Under each it runs twice, and
+//! both runs must give the same bits. What a case covers is what it was seen to dispatch:
+//! [`Outcome::dispatched`].
 //!
 //! A family whose op is benchmarked declares it as a [`Workload`], which case and benchmark share.
 //!
@@ -113,30 +114,45 @@ impl Outcome {
 }
 
 /// Runs a case on a device under the device's own profile and, if it runs kernels, under every other
-/// one. Under each it runs twice; both runs must give the same bits. A panic counts as an error.
+/// one, and with every other subgroup size that kernels can require. Under each it runs twice; both runs
+/// must give the same bits. A panic counts as an error.
 pub fn run(case: &Case, device: &Device, seed: u64) -> Outcome {
     let device = &device.tracing();
     let (findings, error) = twice(case, device, seed);
     let dispatched = device.dispatched();
     let mut outcome = Outcome { id: case.id, seed, findings, dispatched, error };
-    let own = *device.profile();
-    for profile in Profile::ALL.into_iter().filter(|&profile| profile != own) {
+    for (name, device) in others(device) {
         if outcome.dispatched.is_empty() || outcome.error.is_some() {
             return outcome;
         }
-        let (findings, error) = twice(case, &device.with_profile(profile), seed);
-        let name = profile.name();
-        outcome.findings.extend(findings.into_iter().map(|finding| Finding {
-            output: format!("profile {name}: {}", finding.output),
-            ..finding
-        }));
+        let (findings, error) = twice(case, &device, seed);
+        outcome.findings.extend(
+            findings.into_iter().map(|finding| Finding {
+                output: format!("{name}: {}", finding.output),
+                ..finding
+            }),
+        );
         outcome.error = error.map(|error| match error {
             Error::DeviceLost { .. } => error,
-            other => Error::Failed(format!("profile {name}: {other}")),
+            other => Error::Failed(format!("{name}: {other}")),
         });
         outcome.dispatched = device.dispatched();
     }
     outcome
+}
+
+/// The same device under every other profile, and with every other subgroup size that kernels can require,
+/// each with its name.
+fn others(device: &Device) -> Vec<(String, Device)> {
+    let (profile, size) = (*device.profile(), device.subgroup_size());
+    let profiles = Profile::ALL.into_iter().filter(|&other| other != profile);
+    let sizes = device.subgroup_sizes().iter().copied().filter(|&other| other != size);
+    let under = |other: Profile| (format!("profile {}", other.name()), device.with_profile(other));
+    let with = |other| {
+        let device = device.with_subgroup_size(other).expect("one of the device's own sizes");
+        (format!("subgroups of {other}"), device)
+    };
+    profiles.map(under).chain(sizes.map(with)).collect()
 }
 
 /// Runs a case twice on a device: the findings of the second run, or those up to the error that ended a

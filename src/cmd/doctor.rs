@@ -84,6 +84,11 @@ impl Findings {
         self.0.push(Finding { mark, subject: subject.to_owned(), text, remedy });
     }
 
+    /// Subjects and texts, for a page.
+    pub fn facts(&self) -> Vec<(&str, String)> {
+        self.0.iter().map(|finding| (finding.subject.as_str(), finding.text.clone())).collect()
+    }
+
     fn problems(&self) -> usize {
         self.0.iter().filter(|finding| finding.mark == Mark::Problem).count()
     }

@@ -18,7 +18,7 @@ const LITTLE_DISK: u64 = 2 << 30;
 const LITTLE_MEMORY: u64 = 1 << 30;
 
 /// Environment variables that change what the program, the Vulkan loader or a driver does.
-const VARIABLES: [&str; 22] = [
+const VARIABLES: [&str; 23] = [
     "VK_DRIVER_FILES",
     "VK_ADD_DRIVER_FILES",
     "VK_ICD_FILENAMES",
@@ -33,6 +33,7 @@ const VARIABLES: [&str; 22] = [
     "MESA_VK_DEVICE_SELECT",
     "MESA_VK_VERSION_OVERRIDE",
     "LP_NUM_THREADS",
+    "LP_NATIVE_VECTOR_WIDTH",
     "DRI_PRIME",
     "CUDA_VISIBLE_DEVICES",
     "ORT_DYLIB_PATH",

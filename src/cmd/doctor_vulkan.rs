@@ -150,7 +150,8 @@ fn smoke(device: &Value, seed: u64, findings: &mut Findings) -> Result<Value> {
     let known = named(|result| result == "known fault");
     let left_out: u64 = answers.iter().flat_map(|answer| answer["left_out"].as_u64()).sum();
     let more = format!(
-        "Update the driver. `splat4d validate --device {index}` says more; attach its output to the report."
+        "Update the driver. Attach the page that `splat4d validate --device {index} --report bug.html` \
+         writes to the report."
     );
     let subject = format!("{subject}, smoke test");
     if let Some(failure) = &failure {

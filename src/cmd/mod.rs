@@ -74,6 +74,7 @@ mod train;
 mod train_page;
 mod tuning;
 mod validate;
+mod validate_page;
 mod values;
 mod view;
 mod watcher;

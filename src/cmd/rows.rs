@@ -1,4 +1,4 @@
-//! Results of `validate` for a case on a device, for machines and for people.
+//! Results of `validate` for a case on a device, as JSON, JUnit and text.
 
 use std::fmt::Write;
 use std::time::Duration;
@@ -43,7 +43,23 @@ impl Row {
         self.outcome.dispatched.is_empty() && self.outcome.passed()
     }
 
-    fn result(&self) -> (&'static str, Option<&str>) {
+    /// Index of the device.
+    pub fn device(&self) -> usize {
+        self.device
+    }
+
+    /// What the case found.
+    pub fn outcome(&self) -> &Outcome {
+        &self.outcome
+    }
+
+    /// Messages of the validation layer.
+    pub fn messages(&self) -> &[String] {
+        &self.messages
+    }
+
+    /// The verdict in words; of a known fault, its reason.
+    pub fn result(&self) -> (&'static str, Option<&str>) {
         match &self.verdict {
             Verdict::Passed => ("passed", None),
             Verdict::Failed => ("failed", None),
@@ -58,8 +74,16 @@ impl Row {
         findings.max_by(|a, b| a.worst_of_bound.total_cmp(&b.worst_of_bound))
     }
 
-    fn failures(&self) -> impl Iterator<Item = &Finding> {
+    /// The comparisons that failed.
+    pub fn failures(&self) -> impl Iterator<Item = &Finding> {
         self.outcome.findings.iter().filter(|finding| !finding.passed)
+    }
+
+    /// The command that repeats the case.
+    pub fn again(&self) -> String {
+        let Outcome { id, seed, .. } = self.outcome;
+        let layer = if self.messages.is_empty() { "" } else { " --validation" };
+        format!("splat4d validate --device {} --filter {id} --seed {seed}{layer}", self.device)
     }
 
     /// JSON for machines.
@@ -133,8 +157,7 @@ impl Row {
             line(format!("and {more} more"));
         }
         if !self.is_fine() {
-            let (id, seed) = (self.outcome.id, self.outcome.seed);
-            line(format!("again: splat4d validate --filter {id} --seed {seed}"));
+            line(format!("again: {}", self.again()));
         }
         text
     }
@@ -143,7 +166,10 @@ impl Row {
 /// The deviation of an output from the oracle, and whether plain f32 arithmetic stays within the bound.
 fn blame(f: &Finding) -> String {
     let Some(bound) = f.bound else {
-        return format!("{}: differs at {} of {}", f.output, f.worst_at, f.count);
+        return format!(
+            "{}: differs at {} of {}: {} instead of {}",
+            f.output, f.worst_at, f.count, f.got, f.expected
+        );
     };
     let own = match f.oracle_f32_of_bound {
         Some(share) if share <= 1.0 => "; f32 itself stays within it",
@@ -152,7 +178,7 @@ fn blame(f: &Finding) -> String {
     };
     format!(
         "{}: off by {:.3e} ({:.3e} of the truth), {:.3} times the bound of {:e} + {:e} of the truth, \
-         at {} of {}{own}",
+         at {} of {}: {} instead of {}{own}",
         f.output,
         f.worst_absolute,
         f.worst_relative,
@@ -160,7 +186,9 @@ fn blame(f: &Finding) -> String {
         bound.absolute,
         bound.relative,
         f.worst_at,
-        f.count
+        f.count,
+        f.got,
+        f.expected
     )
 }
 
@@ -175,6 +203,8 @@ fn finding_json(f: &Finding) -> Value {
         "ulp": f.worst_ulp,
         "of_bound": f.worst_of_bound,
         "at": f.worst_at,
+        "got": f.got,
+        "expected": f.expected,
         "oracle_f32_absolute": f.oracle_f32_absolute,
         "oracle_f32_of_bound": f.oracle_f32_of_bound,
     })

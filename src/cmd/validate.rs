@@ -1,6 +1,7 @@
 //! `splat4d validate`: checks kernels against the oracle.
 
 use std::collections::BTreeSet;
+use std::io::Write;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Instant;
@@ -19,13 +20,14 @@ use super::interrupt;
 use super::meter::Meter;
 use super::outputs::Outputs;
 use super::rows::{Row, devices_json, junit, table};
+use super::validate_page::{Page, Tested};
 use super::values;
 
 const AFTER_HELP: &str = "\
-Every kernel runs on the device, in its variants for GPUs and for software drivers, and is held
-against the CPU's f64 oracle, on ordinary and on hard inputs, twice, with poisoned outputs between
-guard words. A case fails that misses its bound, writes
-outside of its outputs, gives other bits the second time, or makes the validation layer speak.
+Every kernel runs on the device, in its variants for GPUs and for software drivers and with every
+subgroup size that the driver lets it require, and is held against the CPU's f64 oracle, on ordinary and
+on hard inputs, twice, with poisoned outputs between guard words. A case fails that misses its bound,
+writes outside of its outputs, gives other bits the second time, or makes the validation layer speak.
 \"f32 itself\" is the error of the same oracle in f32: where it misses the bound too, the device is not
 to blame. Exit code 1 on any failure.
 
@@ -34,14 +36,15 @@ Examples:
   splat4d validate --quick --validation
   splat4d validate --filter sort/ --filter render/needles --seed 7
   splat4d validate --device all --junit validate.xml
+  splat4d validate --validation --report driver.html
   splat4d validate --fuzz 10000 --seed 3
 
 JSON: cases, failed, left_out (cases that --seconds left no time for), seconds, quick, validation, devices [{index, name, driver}], and rows, one for each
 case and device: {device (index), case, result (passed, failed, known fault, fault gone), reason, seed,
 seconds, comparisons, worst, failures, error, messages}. worst, and each of failures, is {output,
-values, bound {absolute, relative}, absolute, relative, ulp, of_bound, at, oracle_f32_absolute,
-oracle_f32_of_bound}; worst is the output nearest to its bound. bound is null where only equality
-counts; null also stands for what is infinite or does not apply. With --fuzz and --case: cases (scenes
+values, bound {absolute, relative}, absolute, relative, ulp, of_bound, at, got and expected (the two
+values there, as text), oracle_f32_absolute, oracle_f32_of_bound}; worst is the output nearest to its
+bound. bound is null where only equality counts; null also stands for what is infinite or does not apply. With --fuzz and --case: cases (scenes
 judged), failed, seconds, devices, and rows: {device, what, file} and with --fuzz scene, its number.";
 
 /// Check every kernel of a device, or of all devices, against the oracle
@@ -73,6 +76,29 @@ pub struct ValidateArgs {
     /// fault of a driver is a skipped test
     #[arg(long, value_name = "FILE", conflicts_with_all = ["fuzz", "case"])]
     junit: Option<PathBuf>,
+    /// Write a self-contained HTML page to attach to a bug report for a driver: device, driver, limits, machine
+    /// (some environment variables too), and each failed case with the expected values, the command that
+    /// repeats it and the SPIR-V modules that it ran
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["fuzz", "case"])]
+    report: Option<PathBuf>,
+}
+
+impl ValidateArgs {
+    /// The options for the page, by name.
+    fn described(&self, seed: u64, left_out: usize) -> [(&'static str, String); 4] {
+        let cases = if self.quick { "quick" } else { "all" };
+        let cases = match self.filter.is_empty() {
+            true => cases.to_owned(),
+            false => format!("{cases} with {} in their name", self.filter.join(" or ")),
+        };
+        let layer = if self.validation { "on" } else { "off" };
+        [
+            ("Cases", cases),
+            ("Left out for lack of time", left_out.to_string()),
+            ("Seed", seed.to_string()),
+            ("Validation layer", layer.to_owned()),
+        ]
+    }
 }
 
 /// Runs the command. The exit code indicates whether all cases passed; an error means that this could not
@@ -80,9 +106,8 @@ pub struct ValidateArgs {
 pub fn run(args: &ValidateArgs, common: &Common) -> Result<(Answer, ExitCode)> {
     // Read before opening devices, so that a missing file is reported first.
     let case = args.case.as_deref().map(FuzzCase::read).transpose()?;
-    if let Some(file) = &args.junit {
-        Outputs::default().file(file)?;
-    }
+    let outputs = args.junit.iter().chain(&args.report);
+    outputs.into_iter().try_fold(Outputs::default(), |outputs, file| outputs.file(file))?;
     check_room_for_drivers()?;
     let infos = devices(common)?;
     if args.fuzz.is_some() || args.case.is_some() {
@@ -96,11 +121,13 @@ pub fn run(args: &ValidateArgs, common: &Common) -> Result<(Answer, ExitCode)> {
     let started = Instant::now();
     let cases = chosen(args)?;
     let mut meter = Meter::new("validate", "cases", (cases.len() * infos.len()) as u64, 0);
-    let (mut rows, mut left_out) = (Vec::new(), 0);
+    let (mut tested, mut rows, mut left_out) = (Vec::new(), Vec::new(), 0);
     // Cases of the host run once, whatever the number of devices.
     let mut of_host = BTreeSet::new();
     for info in &infos {
-        let mut bench = Bench { info, validation: args.validation, device: None };
+        let device = open(info, args.validation)?;
+        tested.push(Tested::of(&device));
+        let mut bench = Bench { info, validation: args.validation, device: Some(device) };
         for case in &cases {
             interrupt::check()?;
             if of_host.contains(case.id) {
@@ -126,6 +153,11 @@ pub fn run(args: &ValidateArgs, common: &Common) -> Result<(Answer, ExitCode)> {
     if let Some(file) = &args.junit {
         let report = junit(&infos, &rows);
         write_atomically(file, |sink| report.serialize(sink).map_err(std::io::Error::other))?;
+    }
+    if let Some(file) = &args.report {
+        let options = args.described(common.seed, left_out);
+        let html = Page { devices: &tested, rows: &rows, options: &options }.html()?;
+        write_atomically(file, |sink| sink.write_all(html.as_bytes()))?;
     }
     let failed = rows.iter().filter(|row| !row.is_fine()).count();
     let seconds = started.elapsed().as_secs_f64();

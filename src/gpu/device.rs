@@ -83,12 +83,14 @@ pub(crate) struct DeviceInner {
     pub(crate) context: Arc<Context>,
     pub(crate) limits: Limits,
     profile: Profile,
+    /// The subgroup size that pipelines require; `None`: the driver's default.
+    subgroup: Option<u32>,
     /// Counts the bytes of the buffers. It is the context's ledger, except in a rehearsal, which
     /// has its own.
     pub(crate) ledger: Arc<Ledger>,
     /// SPIR-V modules that replace the crate's own, by kernel name.
     modules: HashMap<&'static str, Vec<u8>>,
-    /// Shared by devices that differ only in the profile.
+    /// Shared by devices that differ only in the profile and the subgroup size.
     pipelines: Arc<Pipelines>,
     /// What was dispatched; `None` except while a check case runs.
     trace: Option<Arc<Mutex<BTreeSet<Dispatched>>>>,
@@ -110,8 +112,13 @@ pub struct Dispatched {
     pub profile: &'static str,
 }
 
-/// A kernel's pipeline with its specialisation constants.
-type Variant = (Vec<u32>, Arc<Pipeline>);
+/// A pipeline of a kernel, with what it was compiled for.
+struct Variant {
+    specialisation: Vec<u32>,
+    subgroup: Option<u32>,
+    pipeline: Arc<Pipeline>,
+}
+
 /// The variants by kernel name.
 type Pipelines = Mutex<HashMap<&'static str, Vec<Variant>>>;
 
@@ -119,17 +126,39 @@ impl DeviceInner {
     fn new(context: Arc<Context>) -> DeviceInner {
         let (limits, profile) = (context.limits, Profile::of(context.info.kind));
         let ledger = context.ledger.clone();
-        let (modules, pipelines, trace, spare, meter) = Default::default();
-        DeviceInner { context, limits, profile, ledger, modules, pipelines, trace, spare, meter }
+        let (subgroup, modules, pipelines, trace, spare, meter) = Default::default();
+        DeviceInner {
+            context,
+            limits,
+            profile,
+            subgroup,
+            ledger,
+            modules,
+            pipelines,
+            trace,
+            spare,
+            meter,
+        }
     }
 
     /// The same, without the resources and the meter of its recordings.
     fn like(&self) -> DeviceInner {
-        let DeviceInner { limits, profile, .. } = *self;
+        let DeviceInner { limits, profile, subgroup, .. } = *self;
         let (context, ledger) = (self.context.clone(), self.ledger.clone());
         let (modules, pipelines) = (self.modules.clone(), self.pipelines.clone());
         let (trace, (spare, meter)) = (self.trace.clone(), Default::default());
-        DeviceInner { context, limits, profile, ledger, modules, pipelines, trace, spare, meter }
+        DeviceInner {
+            context,
+            limits,
+            profile,
+            subgroup,
+            ledger,
+            modules,
+            pipelines,
+            trace,
+            spare,
+            meter,
+        }
     }
 }
 
@@ -171,6 +200,35 @@ impl Device {
     /// profile.
     pub fn with_profile(&self, profile: Profile) -> Device {
         Device::of(DeviceInner { profile, ..self.inner.like() })
+    }
+
+    /// The same device with a subgroup size that its pipelines require; for tests of the sizes among
+    /// which the driver may choose. Both share streams, buffers and pipelines, but an op and its scratch
+    /// belong to the device for which they were planned.
+    ///
+    /// # Errors
+    /// [`Error::Input`] unless it is one of [`subgroup_sizes`](Self::subgroup_sizes).
+    pub fn with_subgroup_size(&self, size: u32) -> Result<Device> {
+        let sizes = self.subgroup_sizes();
+        if !sizes.contains(&size) {
+            let name = &self.info().name;
+            return Err(Error::Input(format!(
+                "{name}: kernels cannot require subgroups of {size}; sizes that they can require: {sizes:?}"
+            )));
+        }
+        let subgroup = Some(size);
+        Ok(Device::of(DeviceInner { subgroup, ..self.inner.like() }))
+    }
+
+    /// The subgroup sizes that kernels of up to 256 invocations can require, ascending; empty if the driver
+    /// does not let them require any.
+    pub fn subgroup_sizes(&self) -> &[u32] {
+        &self.inner.context.subgroup_sizes
+    }
+
+    /// Invocations in a subgroup: the size that pipelines require, or else the driver's default.
+    pub fn subgroup_size(&self) -> u32 {
+        self.inner.subgroup.unwrap_or(self.info().subgroup_size)
     }
 
     /// The same device with another SPIR-V module for one kernel. `Device::with_module` in `embed`
@@ -225,7 +283,7 @@ impl Device {
     }
 
     /// The number of pipelines compiled so far. A kernel has one pipeline for each set of its
-    /// specialisation constants; it lives as long as the device.
+    /// specialisation constants and each required subgroup size; it lives as long as the device.
     pub fn pipelines(&self) -> usize {
         let pipelines = self.inner.pipelines.lock().expect("no holder panics");
         pipelines.values().map(Vec::len).sum()
@@ -370,8 +428,12 @@ impl Device {
     pub(crate) fn pipeline<K: Kernel>(&self, specialisation: &[u32]) -> Result<Arc<Pipeline>> {
         let mut pipelines = self.inner.pipelines.lock().expect("no holder panics");
         let variants = pipelines.entry(K::NAME).or_default();
-        if let Some((_, pipeline)) = variants.iter().find(|(values, _)| values == specialisation) {
-            return Ok(pipeline.clone());
+        let subgroup = self.inner.subgroup;
+        let found = variants.iter().find(|variant| {
+            variant.specialisation == specialisation && variant.subgroup == subgroup
+        });
+        if let Some(variant) = found {
+            return Ok(variant.pipeline.clone());
         }
         let pipeline = Arc::new(Pipeline::new(
             &self.inner.context,
@@ -381,10 +443,15 @@ impl Device {
                 bindings: K::BINDINGS.len() as u32,
                 push_bytes: size_of::<K::Params>() as u32,
                 workgroup: K::WORKGROUP,
+                subgroup,
                 specialisation,
             },
         )?);
-        variants.push((specialisation.to_vec(), pipeline.clone()));
+        variants.push(Variant {
+            specialisation: specialisation.to_vec(),
+            subgroup,
+            pipeline: pipeline.clone(),
+        });
         Ok(pipeline)
     }
 }

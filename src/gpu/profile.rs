@@ -6,7 +6,8 @@ use crate::vk::DeviceKind;
 /// profile gives right results on every device; it decides what is fast. Ops take it from the device
 /// when they are planned. The sizes were measured.
 ///
-/// The subgroup size is no part of it: it is the device's own, whatever the profile.
+/// The subgroup size is no part of it: it is the device's, whatever the profile
+/// ([`Device::subgroup_size`](super::Device::subgroup_size)).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Profile {
     name: &'static str,

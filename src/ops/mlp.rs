@@ -99,7 +99,7 @@ impl Network {
             target += outputs;
             weights_at += (inputs + 1) * outputs;
         }
-        let subgroup = device.info().subgroup_size as usize;
+        let subgroup = device.subgroup_size() as usize;
         let shares = device.profile().shared_loads && (4..=WORKGROUP as usize).contains(&subgroup);
         Ok(Network {
             shape: *shape,

@@ -39,6 +39,11 @@ impl Drop for OnDrop {
     }
 }
 
+/// The smallest subgroup for which the kernels are written.
+const LEAST_SUBGROUP: u32 = 4;
+/// The largest number of invocations in a workgroup of the crate's kernels.
+const LARGEST_WORKGROUP: u32 = 256;
+
 /// A logical device. Everything made from it holds an `Arc` of it.
 pub(crate) struct Context {
     pub(super) raw: ash::Device,
@@ -49,6 +54,9 @@ pub(crate) struct Context {
     pub(crate) info: DeviceInfo,
     pub(crate) limits: Limits,
     pub(super) max_subgroup: u32,
+    /// The subgroup sizes that a pipeline may require, ascending; empty if the driver does not let compute
+    /// shaders require any.
+    pub(crate) subgroup_sizes: Vec<u32>,
     /// Whether memory of other devices and processes can be imported by file descriptor
     /// (`VK_KHR_external_memory_fd`).
     pub(super) imports_fd: bool,
@@ -147,6 +155,14 @@ impl Context {
         let core_properties = properties.properties;
         let core = core_properties.limits;
         let max_subgroup = vulkan13.max_subgroup_size.max(1);
+        let requires =
+            vulkan13.required_subgroup_size_stages.contains(vk::ShaderStageFlags::COMPUTE);
+        let groups = vulkan13.max_compute_workgroup_subgroups;
+        let subgroup_sizes = (0..32)
+            .map(|exponent| 1u32 << exponent)
+            .filter(|&size| requires && (vulkan13.min_subgroup_size..=max_subgroup).contains(&size))
+            .filter(|&size| size >= LEAST_SUBGROUP && LARGEST_WORKGROUP.div_ceil(size) <= groups)
+            .collect();
         // SAFETY: a plain query.
         let families =
             unsafe { instance.raw.get_physical_device_queue_family_properties(physical) };
@@ -172,6 +188,7 @@ impl Context {
             info,
             limits,
             max_subgroup,
+            subgroup_sizes,
             imports_fd,
             physical,
             ledger: Arc::default(),

@@ -13,6 +13,8 @@ pub(crate) struct PipelineShape<'a> {
     pub(crate) bindings: u32,
     pub(crate) push_bytes: u32,
     pub(crate) workgroup: [u32; 3],
+    /// The subgroup size to require; `None`: the driver's default.
+    pub(crate) subgroup: Option<u32>,
     /// Values of the specialisation constants 0, 1, …
     pub(crate) specialisation: &'a [u32],
 }
@@ -29,7 +31,6 @@ pub(crate) struct Pipeline {
 
 impl Pipeline {
     pub(crate) fn new(context: &Arc<Context>, shape: &PipelineShape<'_>) -> Result<Pipeline> {
-        let device = &context.raw;
         // Filled step by step, so that `drop` destroys what exists if a step fails.
         let mut pipeline = Pipeline {
             raw: vk::Pipeline::null(),
@@ -39,6 +40,15 @@ impl Pipeline {
             name: shape.name,
             context: context.clone(),
         };
+        pipeline.lay_out(shape)?;
+        pipeline.make_template(shape)?;
+        pipeline.compile(shape)?;
+        Ok(pipeline)
+    }
+
+    /// Creates the layout of the descriptor set and that of the pipeline.
+    fn lay_out(&mut self, shape: &PipelineShape<'_>) -> Result<()> {
+        let device = &self.context.raw;
         let bindings: Vec<_> = (0..shape.bindings)
             .map(|binding| {
                 vk::DescriptorSetLayoutBinding::default()
@@ -49,11 +59,11 @@ impl Pipeline {
             })
             .collect();
         let info = vk::DescriptorSetLayoutCreateInfo::default().bindings(&bindings);
-        // SAFETY: here and below the device is alive and the infos point at locals.
-        pipeline.set_layout = unsafe { device.create_descriptor_set_layout(&info, None) }
+        // SAFETY: the device is alive and the info points at locals.
+        self.set_layout = unsafe { device.create_descriptor_set_layout(&info, None) }
             .map_err(vk_error("vkCreateDescriptorSetLayout"))?;
 
-        let set_layouts = [pipeline.set_layout];
+        let set_layouts = [self.set_layout];
         let push = [vk::PushConstantRange::default()
             .stage_flags(vk::ShaderStageFlags::COMPUTE)
             .size(shape.push_bytes)];
@@ -61,29 +71,38 @@ impl Pipeline {
             .set_layouts(&set_layouts)
             .push_constant_ranges(if shape.push_bytes > 0 { &push } else { &[] });
         // SAFETY: as above.
-        pipeline.layout = unsafe { device.create_pipeline_layout(&info, None) }
+        self.layout = unsafe { device.create_pipeline_layout(&info, None) }
             .map_err(vk_error("vkCreatePipelineLayout"))?;
+        Ok(())
+    }
 
-        if shape.bindings > 0 {
-            let entries = [vk::DescriptorUpdateTemplateEntry::default()
-                .dst_binding(0)
-                .descriptor_count(1)
-                .descriptor_type(vk::DescriptorType::STORAGE_BUFFER)];
-            let stride = size_of::<vk::DescriptorBufferInfo>();
-            let entries: Vec<_> = (0..shape.bindings)
-                .map(|binding| {
-                    entries[0].dst_binding(binding).offset(binding as usize * stride).stride(stride)
-                })
-                .collect();
-            let info = vk::DescriptorUpdateTemplateCreateInfo::default()
-                .descriptor_update_entries(&entries)
-                .template_type(vk::DescriptorUpdateTemplateType::DESCRIPTOR_SET)
-                .descriptor_set_layout(pipeline.set_layout);
-            // SAFETY: as above.
-            pipeline.template = unsafe { device.create_descriptor_update_template(&info, None) }
-                .map_err(vk_error("vkCreateDescriptorUpdateTemplate"))?;
+    /// Creates the template that fills a descriptor set; none for a kernel without bindings.
+    fn make_template(&mut self, shape: &PipelineShape<'_>) -> Result<()> {
+        if shape.bindings == 0 {
+            return Ok(());
         }
+        let stride = size_of::<vk::DescriptorBufferInfo>();
+        let entry = vk::DescriptorUpdateTemplateEntry::default()
+            .descriptor_count(1)
+            .descriptor_type(vk::DescriptorType::STORAGE_BUFFER)
+            .stride(stride);
+        let entries: Vec<_> = (0..shape.bindings)
+            .map(|binding| entry.dst_binding(binding).offset(binding as usize * stride))
+            .collect();
+        let info = vk::DescriptorUpdateTemplateCreateInfo::default()
+            .descriptor_update_entries(&entries)
+            .template_type(vk::DescriptorUpdateTemplateType::DESCRIPTOR_SET)
+            .descriptor_set_layout(self.set_layout);
+        // SAFETY: the device is alive and the info points at locals.
+        self.template = unsafe { self.context.raw.create_descriptor_update_template(&info, None) }
+            .map_err(vk_error("vkCreateDescriptorUpdateTemplate"))?;
+        Ok(())
+    }
 
+    /// Compiles the kernel.
+    fn compile(&mut self, shape: &PipelineShape<'_>) -> Result<()> {
+        let context = &self.context;
+        let device = &context.raw;
         let code = ash::util::read_spv(&mut std::io::Cursor::new(shape.spirv)).map_err(|e| {
             Error::Unsupported { kernel: shape.name.into(), missing: format!("valid SPIR-V: {e}") }
         })?;
@@ -100,25 +119,31 @@ impl Pipeline {
             .data(bytemuck::cast_slice(shape.specialisation));
         // Vulkan allows the full-subgroups flag only if the workgroup's width is a multiple of the
         // subgroup size.
-        let full = match shape.workgroup[0] % context.max_subgroup {
+        let largest = shape.subgroup.unwrap_or(context.max_subgroup);
+        let full = match shape.workgroup[0] % largest {
             0 => vk::PipelineShaderStageCreateFlags::REQUIRE_FULL_SUBGROUPS,
             _ => vk::PipelineShaderStageCreateFlags::empty(),
         };
-        let stage = vk::PipelineShaderStageCreateInfo::default()
+        let mut required = vk::PipelineShaderStageRequiredSubgroupSizeCreateInfo::default()
+            .required_subgroup_size(largest);
+        let mut stage = vk::PipelineShaderStageCreateInfo::default()
             .flags(full)
             .stage(vk::ShaderStageFlags::COMPUTE)
             .module(module)
             .name(c"main")
             .specialization_info(&specialisation);
-        let info = [vk::ComputePipelineCreateInfo::default().stage(stage).layout(pipeline.layout)];
-        // SAFETY: as above.
+        if shape.subgroup.is_some() {
+            stage = stage.push_next(&mut required);
+        }
+        let info = [vk::ComputePipelineCreateInfo::default().stage(stage).layout(self.layout)];
+        // SAFETY: the device is alive and the infos point at locals.
         let created = unsafe { device.create_compute_pipelines(context.cache.raw, &info, None) };
         // SAFETY: the pipeline has its own copy.
         unsafe { device.destroy_shader_module(module, None) };
         let created =
             created.map_err(|(_, result)| vk_error("vkCreateComputePipelines")(result))?;
-        pipeline.raw = created[0];
-        if pipeline.raw == vk::Pipeline::null() {
+        self.raw = created[0];
+        if self.raw == vk::Pipeline::null() {
             // Some drivers report success but return no pipeline for SPIR-V that they cannot
             // compile.
             return Err(Error::Unsupported {
@@ -126,7 +151,7 @@ impl Pipeline {
                 missing: "the driver did not compile the kernel".into(),
             });
         }
-        Ok(pipeline)
+        Ok(())
     }
 }
 

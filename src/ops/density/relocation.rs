@@ -152,14 +152,29 @@ impl Relocation {
         }
         self.rows = count + grown;
         self.most_slots = if grown > 0 { grown } else { count };
-        let limits = *recorder.device().limits();
-        let over = |items: usize| Groups::linear(items, WORKGROUP, &limits);
+        self.weigh(recorder, &args)?;
+        if grown > 0 {
+            recorder.update(self.totals.range_mut(1..2), &[grown as u32])?;
+        }
+        self.draw(recorder, &args, grown)?;
+        recorder.dispatch::<kernels::Shrink>(
+            Groups::linear(count, WORKGROUP, recorder.device().limits())?,
+            kernels::ShrinkParams { count: count as u32, dead_logit: logit(DEAD_OPACITY) },
+            kernels::ShrinkArgs {
+                drawn: self.drawn.view(),
+                opacity_logits: args.opacity_logits.reborrow(),
+                log_scales: args.log_scales.reborrow(),
+            },
+        )
+    }
+
+    /// Records the weights and the dead Gaussians with their sums.
+    fn weigh(&mut self, recorder: &mut Recorder, args: &RelocationArgs<'_>) -> Result<()> {
+        let count = args.opacity_logits.len();
         recorder.update(self.count.view_mut(), &[count as u32])?;
-        recorder.fill(self.drawn.view_mut(), 0);
-        recorder.fill(self.touched.view_mut(), 0);
         let logits = args.opacity_logits.as_view();
         recorder.dispatch::<kernels::Weigh>(
-            over(count)?,
+            Groups::linear(count, WORKGROUP, recorder.device().limits())?,
             kernels::WeighParams {
                 count: count as u32,
                 motion_class: args.class as u32,
@@ -188,9 +203,21 @@ impl Relocation {
             };
             self.scan.record(recorder, args, &mut self.scratch)?;
         }
-        if grown > 0 {
-            recorder.update(self.totals.range_mut(1..2), &[grown as u32])?;
-        }
+        Ok(())
+    }
+
+    /// Records the list of slots, and the draw of a target for each.
+    fn draw(
+        &mut self,
+        recorder: &mut Recorder,
+        args: &RelocationArgs<'_>,
+        grown: usize,
+    ) -> Result<()> {
+        let count = args.opacity_logits.len();
+        let limits = *recorder.device().limits();
+        let over = |items: usize| Groups::linear(items, WORKGROUP, &limits);
+        recorder.fill(self.drawn.view_mut(), 0);
+        recorder.fill(self.touched.view_mut(), 0);
         recorder.dispatch::<kernels::Slots>(
             over(count.max(grown))?,
             kernels::SlotsParams { count: count as u32, grown: grown as u32 },
@@ -215,15 +242,6 @@ impl Relocation {
                 target_from_slot: self.target_from_slot.view_mut(),
                 drawn: self.drawn.view_mut(),
                 touched: self.touched.view_mut(),
-            },
-        )?;
-        recorder.dispatch::<kernels::Shrink>(
-            over(count)?,
-            kernels::ShrinkParams { count: count as u32, dead_logit: logit(DEAD_OPACITY) },
-            kernels::ShrinkArgs {
-                drawn: self.drawn.view(),
-                opacity_logits: args.opacity_logits.reborrow(),
-                log_scales: args.log_scales.reborrow(),
             },
         )
     }

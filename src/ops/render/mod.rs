@@ -222,7 +222,7 @@ impl Render {
             settings,
             raster: RasterKind::default(),
             profile: *device.profile(),
-            subgroup_size: device.info().subgroup_size,
+            subgroup_size: device.subgroup_size(),
             // Depth is positive, so its sign bit is never set.
             depth_sort: RadixSort::plan(device, gaussians, 0..DEPTH_BITS)?,
             tile_sort: RadixSort::plan(device, intersections, 0..tile_bits)?,

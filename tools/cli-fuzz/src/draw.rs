@@ -79,7 +79,7 @@ const BASES: [&str; 43] = [
     "bench --quick --filter scan --report >report",
     "bench cmp <measurements> <measurements>",
     "validate --quick --filter scan",
-    "validate --filter scan --junit >validate.xml",
+    "validate --filter scan --junit >validate.xml --report >validate.html",
     "validate --fuzz 2",
     "validate --case <case>",
     "completions zsh",
