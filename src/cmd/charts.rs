@@ -23,6 +23,7 @@ const DIGIT: f64 = 6.8;
 /// CSS rules that a page with charts needs.
 pub const STYLE: &str = "\
 svg{display:block;width:100%;height:auto;font:12px system-ui,sans-serif;fill:var(--ink)}\
+svg text{paint-order:stroke;stroke:var(--paper);stroke-width:3px}\
 .grid{stroke:var(--faint);stroke-width:1;fill:none}.axis{stroke:var(--dim);stroke-width:1;fill:none}\
 .a,.b{fill:none;stroke-width:1.8;stroke-linejoin:round}.a{stroke:var(--one)}\
 .b{stroke:var(--two);stroke-dasharray:5 3}.da{fill:var(--one)}.db{fill:var(--two)}\
@@ -196,13 +197,16 @@ pub fn map(map: &Map) -> String {
         );
     }
     if let (Some(first), Some(last)) = (map.cameras.first(), map.cameras.last()) {
-        // The labels are on opposite sides, because the two positions may be close: left and right, or
-        // above and below where the labels of the vertical axis leave no room.
-        let room = x(first.at[0]) - plot.0;
-        let sides = match room > 7.0 + DIGIT * "first".len() as f64 {
-            true => [("end", (-7.0, 4.0)), ("start", (7.0, 4.0))],
-            false => [("middle", (0.0, -7.0)), ("middle", (0.0, 15.0))],
+        // The labels point away from each other, because the two positions may be close: left and right,
+        // or above and below where the labels of the vertical axis leave no room.
+        let beside = x(first.at[0].min(last.at[0])) - plot.0 > 7.0 + DIGIT * "first".len() as f64;
+        let (mut sides, swapped) = match beside {
+            true => ([("end", (-7.0, 4.0)), ("start", (7.0, 4.0))], first.at[0] > last.at[0]),
+            false => ([("middle", (0.0, -7.0)), ("middle", (0.0, 15.0))], first.at[1] < last.at[1]),
         };
+        if swapped {
+            sides.reverse();
+        }
         let ends = [(first, "a", "first"), (last, "b", "last")];
         for ((camera, class, name), (anchor, aside)) in ends.into_iter().zip(sides) {
             let at = (x(camera.at[0]), y(camera.at[1]));
@@ -329,18 +333,20 @@ mod tests {
 
     #[test]
     fn labels_of_the_path_leave_those_of_the_axis_free() {
-        let camera = Placed { at: [0.0, 0.0], looks: [1.0, 0.0], spread: 0.5, doubtful: false };
-        let anchors = |ahead: f64| {
-            let points = [[ahead, 1.0], [ahead, -1.0]];
-            let map = Map { title: "t", axes: ["x", "y"], cameras: &[camera; 2], points: &points };
+        let camera = |at| Placed { at, looks: [1.0, 0.0], spread: 0.5, doubtful: false };
+        let anchors = |last: f64, ahead: f64| {
+            let (cameras, points) =
+                ([[0.0; 2], [last, 0.0]].map(camera), [[ahead, 1.0], [ahead, -1.0]]);
+            let map = Map { title: "t", axes: ["x", "y"], cameras: &cameras, points: &points };
             let svg = super::map(&map);
             ["first", "last"].map(|name| {
                 let (before, _) = svg.split_once(&format!(">{name}</text>")).unwrap();
                 before.rsplit('"').nth(1).unwrap().to_owned()
             })
         };
-        assert_eq!(anchors(0.0), ["end", "start"]);
-        assert_eq!(anchors(4.0), ["middle", "middle"], "the cameras are at the left edge");
+        assert_eq!(anchors(0.0, 0.0), ["end", "start"]);
+        assert_eq!(anchors(-0.1, 0.0), ["start", "end"], "away from each other");
+        assert_eq!(anchors(0.0, 4.0), ["middle", "middle"], "the cameras are at the left edge");
     }
 
     #[test]
