@@ -86,8 +86,13 @@ fn a_reconstruction_is_told_on_a_page() {
     }
     let seen = "[...document.images].filter(picture => picture.offsetParent).length";
     assert_eq!(opened.evaluate(seen), json!(5 + 1), "one picture of each lane is seen");
+    let broken = "[...document.querySelectorAll('dt')].filter(name => { const text = document.createRange(); \
+        text.selectNodeContents(name); \
+        return !name.textContent.includes(' ') && text.getClientRects().length > 1; \
+        }).map(name => name.textContent)";
     for width in [320, 360, 768, 1280] {
         assert_eq!(opened.overflow(width), 0, "at {width} pixels");
+        assert_eq!(opened.evaluate(broken), json!([]), "words on two lines at {width} pixels");
     }
     let less = json!({ "features": [{ "name": "prefers-reduced-motion", "value": "reduce" }] });
     opened.call("Emulation.setEmulatedMedia", less);

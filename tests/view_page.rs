@@ -165,6 +165,105 @@ fn the_page_shows_what_the_renderer_gives() {
 }
 
 #[test]
+fn pan_look_click_loop_and_speed() {
+    let device = common::device();
+    let scene = scene(600);
+    let server = serve(&device, scene.clone(), None);
+    let mut truth = Renderer::new(&device, &scene).unwrap();
+    let mut page = Browser::open(server.url(), 800, 700);
+    page.wait_for("document.getElementById('picture').shown");
+    let (first, _) = is_right(&mut page, &mut truth, scene.background);
+    let turned = |a: &Camera, b: &Camera| {
+        a.view_from_world.rotation.angle_between(b.view_from_world.rotation)
+    };
+    // The right button pans: to the side, without turning.
+    page.mouse("mousePressed", 300.0, 150.0, "right");
+    page.mouse("mouseMoved", 400.0, 150.0, "right");
+    page.mouse("mouseReleased", 400.0, 150.0, "right");
+    let (panned, _) = is_right(&mut page, &mut truth, scene.background);
+    let side = first.view_from_world.rotation * (panned.centre() - first.centre());
+    assert!(side.x < -0.1 && side.y.abs() < 1e-6 && side.z.abs() < 1e-6, "{side}");
+    assert!(turned(&first, &panned) < 1e-6);
+    // Looking around turns in place.
+    page.evaluate("document.getElementById('drag').value = 'look'");
+    page.drag([300.0, 150.0], [360.0, 150.0]);
+    let (looked, _) = is_right(&mut page, &mut truth, scene.background);
+    assert!(looked.centre().distance(panned.centre()) < 1e-6 && turned(&looked, &panned) > 0.05);
+    // A click on an input camera jumps to it.
+    page.evaluate("document.getElementById('drag').value = 'orbit'");
+    page.evaluate("document.getElementById('reset').click()");
+    page.evaluate("document.getElementById('show-cameras').click()");
+    for _ in 0..2 {
+        let wheel = json!({ "type": "mouseWheel", "x": 300, "y": 150, "deltaX": 0, "deltaY": 300 });
+        page.call("Input.dispatchMouseEvent", wheel);
+    }
+    let (back, _) = is_right(&mut page, &mut truth, scene.background);
+    let seen = back.view_from_world.apply(scene.cameras[4].camera.centre());
+    let k = back.intrinsics;
+    let at = page.evaluate(&format!(
+        "(() => {{ const b = document.getElementById('picture').getBoundingClientRect(); \
+         return [b.left + {} * b.width, b.top + {} * b.height]; }})()",
+        (k.fx * seen.x / seen.z + k.cx) / f64::from(k.width),
+        (k.fy * seen.y / seen.z + k.cy) / f64::from(k.height),
+    ));
+    let [x, y] = [0, 1].map(|c| at[c].as_f64().unwrap());
+    page.mouse("mousePressed", x, y, "left");
+    page.mouse("mouseReleased", x, y, "left");
+    let (jumped, time) = is_right(&mut page, &mut truth, scene.background);
+    assert!(away(&jumped, &scene.cameras[4].camera) < 1e-6 && (time - 0.8).abs() < 1e-9);
+    // While the camera moves, images have a lower quality than when it rests. The page says what it shows.
+    page.evaluate(
+        "globalThis.qualities = []; const c = document.getElementById('picture'); let of = c.shown; \
+         Object.defineProperty(c, 'shown', { get: () => of, \
+         set: (v) => { of = v; qualities.push(v.asked.quality); } }); 0",
+    );
+    page.drag([300.0, 150.0], [360.0, 160.0]);
+    is_right(&mut page, &mut truth, scene.background);
+    let qualities: Vec<u8> = serde_json::from_value(page.evaluate("qualities")).unwrap();
+    // A slow machine may pause within the drag, so that images at rest are among those of the drag.
+    let (still, during) = qualities.split_last().unwrap();
+    let low = during.iter().filter(|q| *q < still).count();
+    assert!(low > 0 && during.iter().all(|q| q <= still), "{qualities:?}");
+    let text = |page: &mut Browser, id: &str| {
+        let told = page.evaluate(&format!("document.getElementById('{id}').textContent"));
+        told.as_str().unwrap().to_owned()
+    };
+    assert_eq!(text(&mut page, "gaussians"), "600 Gaussians");
+    let size = page
+        .evaluate("[c.width, c.height].join('×') === document.getElementById('size').textContent");
+    assert_eq!(size, json!(true));
+    let milliseconds = text(&mut page, "milliseconds");
+    assert!(
+        milliseconds
+            .strip_suffix(" ms")
+            .is_some_and(|ms| ms.parse::<f64>().is_ok_and(|ms| ms > 0.0))
+    );
+    // Without the loop, playing ends at the end, sooner at a higher speed.
+    let mut plays = |speed: &str| {
+        let took = page.evaluate(&format!(
+            "(async () => {{ const [play, time, loop, speed] = ['play', 'time', 'loop', 'speed'] \
+             .map((id) => document.getElementById(id)); loop.checked = false; speed.value = '{speed}'; \
+             time.value = 0; time.dispatchEvent(new Event('input')); \
+             const begun = performance.now(); play.click(); \
+             while (play.textContent !== 'Play') await new Promise(requestAnimationFrame); \
+             return time.value === '1' ? performance.now() - begun : -1; }})()",
+        ));
+        took.as_f64().unwrap()
+    };
+    let (slow, fast) = (plays("0.25"), plays("4"));
+    // 6 frames at 24 a second.
+    assert!(slow >= 950.0 && fast > 0.0 && fast < 0.5 * slow, "{slow} ms, {fast} ms");
+    // With the loop it begins again.
+    page.evaluate("document.getElementById('loop').checked = true");
+    page.evaluate("document.getElementById('play').click()");
+    page.wait_for("document.getElementById('picture').shown.asked.time > 0.6");
+    page.wait_for("document.getElementById('picture').shown.asked.time < 0.5");
+    page.evaluate("document.getElementById('play').click()");
+    is_silent(&page);
+    server.stop().unwrap();
+}
+
+#[test]
 fn a_recorded_path_is_one_that_render_takes() {
     let device = common::device();
     let scene = scene(100);

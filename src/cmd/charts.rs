@@ -23,6 +23,7 @@ const DIGIT: f64 = 6.8;
 /// CSS rules that a page with charts needs.
 pub const STYLE: &str = "\
 svg{display:block;width:100%;height:auto;font:12px system-ui,sans-serif;fill:var(--ink)}\
+svg text{paint-order:stroke;stroke:var(--paper);stroke-width:3px}\
 .grid{stroke:var(--faint);stroke-width:1;fill:none}.axis{stroke:var(--dim);stroke-width:1;fill:none}\
 .a,.b{fill:none;stroke-width:1.8;stroke-linejoin:round}.a{stroke:var(--one)}\
 .b{stroke:var(--two);stroke-dasharray:5 3}.da{fill:var(--one)}.db{fill:var(--two)}\
@@ -196,12 +197,21 @@ pub fn map(map: &Map) -> String {
         );
     }
     if let (Some(first), Some(last)) = (map.cameras.first(), map.cameras.last()) {
-        // The labels are on opposite sides, because the two positions may be close.
-        let ends = [(first, "a", "first", "end", -7.0), (last, "b", "last", "start", 7.0)];
-        for (camera, class, name, anchor, aside) in ends {
+        // The labels point away from each other, because the two positions may be close: left and right,
+        // or above and below where the labels of the vertical axis leave no room.
+        let beside = x(first.at[0].min(last.at[0])) - plot.0 > 7.0 + DIGIT * "first".len() as f64;
+        let (mut sides, swapped) = match beside {
+            true => ([("end", (-7.0, 4.0)), ("start", (7.0, 4.0))], first.at[0] > last.at[0]),
+            false => ([("middle", (0.0, -7.0)), ("middle", (0.0, 15.0))], first.at[1] < last.at[1]),
+        };
+        if swapped {
+            sides.reverse();
+        }
+        let ends = [(first, "a", "first"), (last, "b", "last")];
+        for ((camera, class, name), (anchor, aside)) in ends.into_iter().zip(sides) {
             let at = (x(camera.at[0]), y(camera.at[1]));
             mark(&mut svg, class, at);
-            text(&mut svg, (at.0 + aside, at.1 + 4.0), anchor, name);
+            text(&mut svg, (at.0 + aside.0, at.1 + aside.1), anchor, name);
         }
     }
     svg + "</svg>"
@@ -319,6 +329,24 @@ mod tests {
         assert!(svg.contains("a&lt;b") && svg.contains("frame 3 is doubtful"));
         assert!(!svg.contains("NaN") && !svg.contains("inf"), "{svg}");
         assert_eq!(svg.matches("<circle").count(), 1 + 2, "one in the legend");
+    }
+
+    #[test]
+    fn labels_of_the_path_leave_those_of_the_axis_free() {
+        let camera = |at| Placed { at, looks: [1.0, 0.0], spread: 0.5, doubtful: false };
+        let anchors = |last: f64, ahead: f64| {
+            let (cameras, points) =
+                ([[0.0; 2], [last, 0.0]].map(camera), [[ahead, 1.0], [ahead, -1.0]]);
+            let map = Map { title: "t", axes: ["x", "y"], cameras: &cameras, points: &points };
+            let svg = super::map(&map);
+            ["first", "last"].map(|name| {
+                let (before, _) = svg.split_once(&format!(">{name}</text>")).unwrap();
+                before.rsplit('"').nth(1).unwrap().to_owned()
+            })
+        };
+        assert_eq!(anchors(0.0, 0.0), ["end", "start"]);
+        assert_eq!(anchors(-0.1, 0.0), ["start", "end"], "away from each other");
+        assert_eq!(anchors(0.0, 4.0), ["middle", "middle"], "the cameras are at the left edge");
     }
 
     #[test]

@@ -227,10 +227,13 @@ fn movers_distance(track: &Track) -> Choice {
     }
     let known = confidences.iter().filter(|confidence| **confidence > KNOWN_SCALE).count();
     let because = format!(
-        "its scale is measured for {:.0} % of their pixels and only bounded for the others",
+        "its scale is measured for {:.0} % of the moving pixels and only bounded for the others",
         100.0 * known as f64 / confidences.len() as f64
     );
-    let chosen = format!("a shape and a path for each of {} objects", track.movers.len());
+    let chosen = match track.movers.len() {
+        1 => "a shape and a path for the one object".into(),
+        count => format!("a shape and a path for each of {count} objects"),
+    };
     Choice::new("distance of what moves", chosen, because)
 }
 

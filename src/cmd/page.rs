@@ -20,7 +20,7 @@ h1,h2,h3{line-height:1.25;margin:1.6em 0 .5em}h1{font-size:1.5rem;margin-top:.3e
 h3{font-size:1rem;margin:0 0 .2em}p{max-width:60rem;margin:.5em 0}\
 .facts{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(19rem,100%),1fr));gap:.1rem 2rem;margin:0}\
 .facts div{display:flex;justify-content:space-between;gap:1rem;border-bottom:1px solid var(--faint);padding:.25rem 0}\
-dt{color:var(--dim)}dd{margin:0;text-align:right}\
+dt{color:var(--dim);overflow-wrap:break-word}dd{margin:0;text-align:right}\
 .notes{background:var(--note);border-left:4px solid var(--two);padding:.5rem 1rem .5rem 2rem;margin:1rem 0}\
 .grid-of{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(21rem,100%),1fr));gap:1.5rem}\
 .maps{grid-template-columns:repeat(auto-fit,minmax(min(17rem,100%),1fr))}\

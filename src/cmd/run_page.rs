@@ -40,7 +40,8 @@ const STYLE: &str = "\
 pre{background:var(--faint);padding:.6rem .8rem;white-space:pre-wrap;border-radius:4px}\
 @media(max-width:34rem){.model thead{display:none}.model tr{display:block;padding:.4rem 0;\
 border-bottom:1px solid var(--faint)}.model td{display:block;border:0;padding:.05rem 0}\
-.model td:first-child{font-weight:600}.model td:empty{display:none}}";
+.model td:first-child{font-weight:600}.model td:empty{display:none}\
+.model td:nth-child(4)::before{content:\"saves \"}}";
 
 /// Results of a training, independent of its input.
 pub struct Run<'a> {
@@ -159,9 +160,8 @@ fn model(body: &mut String, model: &[Choice]) {
          <th>chosen</th><th>because</th><th>saves</th></tr></thead><tbody>",
     );
     for Choice { what, chosen, because, saves } in model {
-        let saves = saves.as_ref().map_or(String::new(), |saves| format!("saves {saves}"));
         let _ = write!(body, "<tr><td>{}</td>", escape(what));
-        for cell in [chosen, because, &saves] {
+        for cell in [chosen, because, saves.as_deref().unwrap_or_default()] {
             let _ = write!(body, "<td>{}</td>", escape(cell));
         }
         body.push_str("</tr>");

@@ -14,7 +14,8 @@ use serde_json::{Value, json};
 use tempfile::TempDir;
 use tungstenite::{Message, WebSocket};
 
-const PATIENCE: Duration = Duration::from_secs(60);
+/// A large scene on SwiftShader takes minutes for its first image where other programs use the processors.
+const PATIENCE: Duration = Duration::from_secs(300);
 
 /// A page in a separate browser process.
 pub struct Browser {
@@ -166,8 +167,11 @@ impl Browser {
         }
     }
 
+    /// Sends a mouse event; `button` is `left` or `right`.
     pub fn mouse(&mut self, kind: &str, x: f64, y: f64, button: &str) {
-        let buttons = if kind == "mouseReleased" { 0 } else { 1 };
+        // The page gets no `pointerdown` if the held buttons include another one than `button`.
+        let held = if button == "right" { 2 } else { 1 };
+        let buttons = if kind == "mouseReleased" { 0 } else { held };
         let event = json!({
             "type": kind, "x": x, "y": y, "button": button, "buttons": buttons, "clickCount": 1,
         });
