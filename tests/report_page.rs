@@ -189,6 +189,8 @@ fn the_tracks_page_has_nothing_to_say_either() {
     let mut opened = Browser::open_file(&file, 1280, 900);
     for width in [360, 1280] {
         assert_eq!(opened.overflow(width), 0, "at {width} pixels");
+        let lines = opened.evaluate("document.querySelector('.scale').offsetHeight");
+        assert!(lines.as_f64() < Some(80.0), "a legend {lines} pixels high at {width} pixels");
     }
     assert!(opened.said.is_empty(), "{:?}", opened.said);
 }

@@ -26,8 +26,8 @@ dt{color:var(--dim);overflow-wrap:break-word}dd{margin:0;text-align:right}\
 .maps{grid-template-columns:repeat(auto-fit,minmax(min(17rem,100%),1fr))}\
 figure{margin:0;min-width:0}figcaption{color:var(--dim);font-size:13px}\
 .pair{display:grid;grid-template-columns:1fr 1fr;gap:3px}.pair img{width:100%;height:auto;display:block}\
-.scale{display:grid;grid-template-columns:auto minmax(6rem,16rem) auto 1fr;gap:.6rem;align-items:center;\
-font-size:13px;margin:.5rem 0}.scale i{height:.9rem;border:1px solid var(--dim)}\
+.scale{display:flex;flex-wrap:wrap;gap:.6rem;align-items:center;font-size:13px;margin:.5rem 0}\
+.scale i{flex:1 1 6rem;max-width:16rem;height:.9rem;border:1px solid var(--dim)}\
 .grey{display:inline-block;width:.9rem;height:.9rem;background:#808080;border:1px solid var(--dim);\
 vertical-align:-2px;margin-right:.3rem}\
 .wide{overflow-x:auto}table{border-collapse:collapse;font-size:13px;font-variant-numeric:tabular-nums}\
