@@ -152,17 +152,18 @@ impl Clip<'_> {
         let stage = Stage::Depth;
         let facing: Vec<Swept> =
             work.frames(&format!("{part}/sweep"), n, of_range, stage, shares.start..middle)?;
-        let mut seen: Vec<Seen> = facing.iter().map(|facing| facing.seen.clone()).collect();
+        let (mut seen, costs): (Vec<Seen>, Vec<Vec<i16>>) =
+            facing.into_iter().map(|swept| (swept.seen, swept.costs)).unzip();
         let Some(ground) = Ground::find(self.cameras, self.covered, &self.agreed(&seen, &seen))
         else {
             return Ok(seen);
         };
         let some: Vec<usize> = (0..n).step_by(n.div_ceil(LEVELLED_BY)).collect();
         let ground = ground.levelled(self.cameras, |ground| {
-            self.limited(some.clone(), |f| (f, self.ground(ground, f, &facing[f])))
+            self.limited(some.clone(), |f| (f, self.ground(ground, f, &seen[f], &costs[f])))
         });
         let of_range = |range: Range<usize>| {
-            self.limited(range.collect(), |f| self.ground(&ground, f, &facing[f]))
+            self.limited(range.collect(), |f| self.ground(&ground, f, &seen[f], &costs[f]))
         };
         let grounds: Vec<Seen> =
             work.frames(&format!("{part}/ground"), n, of_range, stage, middle..shares.end)?;
@@ -183,7 +184,7 @@ impl Clip<'_> {
         chunks.flat_map(|some| some.par_iter().map(|f| of(*f)).collect::<Vec<_>>()).collect()
     }
 
-    /// What the frames believe after each has been compared with the others; see [`believed`].
+    /// The inverse depths of all frames that [`believed`] selects from the measured ones and those of the sweep.
     fn agreed(&self, measured: &[Seen], swept: &[Seen]) -> Vec<Seen> {
         let maps = Maps {
             cameras: self.cameras,
@@ -220,21 +221,22 @@ impl Clip<'_> {
     }
 
     /// The inverse depths of the pixels that lie on planes parallel to the ground; the support is 0 elsewhere.
-    /// These pixels match such planes at a lower cost than planes that face the camera, which `facing` is
-    /// from, at nearly the same inverse depth (plane sweeps in several directions: Gallup et al. 2007). On
-    /// planes that face the camera, the ground is a staircase that semi-global matching makes too flat.
-    fn ground(&self, ground: &Ground, frame: usize, facing: &Swept) -> Seen {
+    /// These pixels match such planes at a lower cost than planes that face the camera, which `facing` and
+    /// `facing_costs` are from, at nearly the same inverse depth (plane sweeps in several directions: Gallup
+    /// et al. 2007). On planes that face the camera, the ground is a staircase that semi-global matching makes
+    /// too flat.
+    fn ground(&self, ground: &Ground, frame: usize, facing: &Seen, facing_costs: &[i16]) -> Seen {
         let base = ground.from(&self.cameras.poses[frame]).filter(|_| self.has_patches(frame));
         let Some(base) = base else {
-            let support = vec![0.0; facing.costs.len()];
-            return Seen { support, ..facing.seen.clone() };
+            let support = vec![0.0; facing_costs.len()];
+            return Seen { support, ..facing.clone() };
         };
         let planes = Planes { base, levels: ground::levels() };
         let Swept { mut seen, costs } = self.matched(frame, &planes, |_| ());
         for i in 0..costs.len() {
             // This is also false above the horizon, where inverse depths on the planes are negative.
-            let off = (seen.inverse_depth[i] / facing.seen.inverse_depth[i]).ln().abs();
-            let cheaper = costs[i] < facing.costs[i];
+            let off = (seen.inverse_depth[i] / facing.inverse_depth[i]).ln().abs();
+            let cheaper = costs[i] < facing_costs[i];
             let is_ground = cheaper && off < SAME_DEPTH && !self.pictures[frame][i].is_nan();
             seen.support[i] = f32::from(is_ground);
         }
