@@ -143,21 +143,15 @@ impl DeviceInner {
 
     /// The same, without the resources and the meter of its recordings.
     fn like(&self) -> DeviceInner {
-        let DeviceInner { limits, profile, subgroup, .. } = *self;
-        let (context, ledger) = (self.context.clone(), self.ledger.clone());
-        let (modules, pipelines) = (self.modules.clone(), self.pipelines.clone());
-        let (trace, (spare, meter)) = (self.trace.clone(), Default::default());
         DeviceInner {
-            context,
-            limits,
-            profile,
-            subgroup,
-            ledger,
-            modules,
-            pipelines,
-            trace,
-            spare,
-            meter,
+            limits: self.limits,
+            profile: self.profile,
+            subgroup: self.subgroup,
+            ledger: self.ledger.clone(),
+            modules: self.modules.clone(),
+            pipelines: self.pipelines.clone(),
+            trace: self.trace.clone(),
+            ..DeviceInner::new(self.context.clone())
         }
     }
 }
