@@ -5,8 +5,8 @@
 //! - Contact: an object that touches static ground in most frames is as far away as the ground there
 //!   ([`super::contact`]).
 //! - Smoothness: an object moves smoothly by itself and a hand-held camera does not. If the ground gives the
-//!   vertical direction, a flying object falls under gravity ([`super::smooth`]). A smooth path also gives
-//!   the depth in frames that show the object only in part.
+//!   vertical direction, a flying object falls under gravity ([`super::smooth`]), which is the same for all
+//!   that fly. A smooth path also gives the depth in frames that show the object only in part.
 //! - Occlusion: an object is nearer than what it hides. If the image border cuts off its lower end, it is a
 //!   little nearer than the ground at that border.
 //!
@@ -47,6 +47,10 @@ const GAP: usize = 2;
 /// Relative standard deviation of a path's unit above which it is not used: its logarithm is no longer
 /// normally distributed, and it gives little information.
 const LINEAR: f64 = 0.3;
+/// Minimum downward acceleration of an object that falls, in standard deviations.
+const FALLS: f64 = 3.0;
+/// Maximum ratio of two objects' downward accelerations, from their own paths, that can both be gravity.
+const SAME_FALL: f64 = 2.5;
 /// Standard deviation of the logarithm of a scale below which the scale counts as known.
 const DECIDED: f64 = 0.2;
 /// How much nearer an object without contact is than what it hides: mean and standard deviation of the
@@ -82,6 +86,8 @@ pub(super) struct Distance {
     path: Vec<f64>,
     /// That constant.
     scale: Scale,
+    /// The downward acceleration, world units per squared frame, if the object flies and its path shows it.
+    fall: Option<Estimate>,
 }
 
 /// The source of the scale of a path.
@@ -113,7 +119,12 @@ impl Distance {
         let steps = steps(shape);
         let pull = Pull { first_width: SIZED_FIRST / SUPPLIED.0, power: 1 };
         let path = bent(&path, &path, &targets, pull, &steps);
-        Some(Distance { path, scale: Scale::Known(Estimate { value: 0.0, deviation }) })
+        Some(Distance { path, scale: Scale::Known(Estimate { value: 0.0, deviation }), fall: None })
+    }
+
+    /// The downward acceleration, world units per squared frame, if the object flies and its own path shows it.
+    pub fn fall(&self) -> Option<Estimate> {
+        self.fall
     }
 
     /// Whether the distance is known well enough for the confidence [`KNOWN`].
@@ -158,8 +169,26 @@ impl Distance {
     }
 }
 
+/// Gravity for each object that flies, from the object whose own path determines it better than all others;
+/// `None` for that object, and for those whose path shows no fall or a clearly different one. `falls` are the
+/// downward accelerations of the objects' own paths. All in world units per squared frame.
+pub(super) fn shared_gravity(falls: &[Option<Estimate>]) -> Vec<Option<Estimate>> {
+    let relative = |fall: &Estimate| fall.deviation / fall.value.abs();
+    let falls_down = |fall: &Estimate| fall.value > FALLS * fall.deviation;
+    let of = |fall: &Option<Estimate>| fall.filter(falls_down);
+    let known = falls.iter().enumerate().filter_map(|(i, fall)| Some((i, of(fall)?)));
+    let best = known.min_by(|a, b| relative(&a.1).total_cmp(&relative(&b.1)));
+    let gravity = |(i, fall): (usize, &Option<Estimate>)| {
+        let (_, gravity) = best.filter(|(best, _)| *best != i)?;
+        let ratio = of(fall)?.value / gravity.value;
+        ((1.0 / SAME_FALL)..SAME_FALL).contains(&ratio).then_some(gravity)
+    };
+    falls.iter().enumerate().map(gravity).collect()
+}
+
 /// Estimates the distance of an object without regard to connected objects. `owners` and `behind` hold one
-/// entry per frame of the clip.
+/// entry per frame of the clip. `gravity` is the downward acceleration of what flies, if another object
+/// showed it.
 pub(super) fn distance(
     index: usize,
     object: &Object,
@@ -167,6 +196,7 @@ pub(super) fn distance(
     cameras: &Cameras,
     owners: &[Vec<Option<u16>>],
     behind: &[Behind<'_>],
+    gravity: Option<Estimate>,
 ) -> Distance {
     let frames = object.first..object.first + shape.frames.len();
     let (owners, behind) = (&owners[frames.clone()], &behind[frames]);
@@ -211,15 +241,16 @@ pub(super) fn distance(
         .collect();
     let contacts = contacts(object, shape, &lower_ends, &middles);
     let touching = touched(&observed, &contacts, &lower_ends, &steps).map(|(_, touching)| touching);
-    let (smooth, farther) = smoothness(&seen, cameras, object.first, touching).unzip();
-    let path: Vec<f64> = match farther {
+    let smoothed = smoothness(&seen, cameras, object.first, touching, gravity);
+    let (smooth, fall) = smoothed.as_ref().map_or((None, None), |s| (Some(s.scale), s.fall));
+    let path: Vec<f64> = match smoothed.map(|smoothed| smoothed.farther) {
         Some(farther) => observed.iter().zip(farther).map(|(path, by)| path + by).collect(),
         None => observed.clone(),
     };
     if let Some((bent, touching)) = touched(&path, &contacts, &lower_ends, &steps) {
         let both = smooth.map_or(touching, |smooth| touching.and(smooth));
         let scale = Estimate { value: both.value - touching.value, ..both };
-        return Distance { path: bent, scale: Scale::Known(scale) };
+        return Distance { path: bent, scale: Scale::Known(scale), fall: None };
     }
     let hidden: Vec<Option<f64>> =
         owners.iter().zip(behind).map(|(owners, behind)| hidden(index, owners, *behind)).collect();
@@ -229,9 +260,10 @@ pub(super) fn distance(
         // A scale that puts the path far behind what the object hides is wrong, and so are the corrections of
         // the path that come with it.
         let before = self::bounded(&observed, &hidden, &lower_ends).before;
-        return Distance { path: observed, scale: Scale::Bounded { before, smooth: None } };
+        let scale = Scale::Bounded { before, smooth: None };
+        return Distance { path: observed, scale, fall: None };
     }
-    Distance { path, scale: Scale::Bounded { before: bounded.before, smooth } }
+    Distance { path, scale: Scale::Bounded { before: bounded.before, smooth }, fall }
 }
 
 /// The logarithm of the depth of what an object hides in a frame, at its near side. `None` if the object is
@@ -314,14 +346,26 @@ struct Seen {
     view_from_object: DMat3,
 }
 
-/// The scale that makes a path smoothest, and the change of the logarithm of depth along it, frame by frame,
-/// at the scale that follows from the path and from contact, if it is known from there.
+/// What the smoothness of a path tells.
+struct Smoothness {
+    /// The scale that makes the path smoothest.
+    scale: Estimate,
+    /// The change of the logarithm of depth along it, frame by frame, at the scale that follows from the path
+    /// and from contact, if it is known from there.
+    farther: Vec<f64>,
+    /// The downward acceleration, if the object flies and gravity was not known.
+    fall: Option<Estimate>,
+}
+
+/// The scale and the changes of a path that make it smoothest. `first` is the object's first frame, `touching`
+/// the scale from contact; `gravity` as in [`distance`].
 fn smoothness(
     path: &[Seen],
     cameras: &Cameras,
     first: usize,
     touching: Option<Estimate>,
-) -> Option<(Estimate, Vec<f64>)> {
+    gravity: Option<Estimate>,
+) -> Option<Smoothness> {
     let touching = touching.map(|Estimate { value, deviation }| {
         let inverse = (-value).exp();
         Estimate { value: inverse, deviation: deviation * inverse }
@@ -358,11 +402,15 @@ fn smoothness(
         (0..places.len()).filter(|k| unknown[*k] <= GAP || goes_on(*k)).collect();
     let (mut sum, mut information) = (0.0, 0.0);
     let mut farther = vec![0.0; places.len()];
+    let mut falls = Vec::new();
     for run in frames.chunk_by(|a, b| a + 1 == *b) {
         let run = run[0]..run[0] + run.len();
-        let Some(found) = smooth::smoothest(&places[run.clone()], cameras.up(), touching) else {
+        let places = &places[run.clone()];
+        let down = gravity.map(|gravity| gravity.value);
+        let Some(found) = smooth::smoothest(places, cameras.up(), touching, down) else {
             continue;
         };
+        falls.extend(found.fall);
         let weight = found.unit.deviation.powi(-2);
         (sum, information) = (sum + weight * found.unit.inverse, information + weight);
         if let Some(by) = found.farther {
@@ -370,8 +418,13 @@ fn smoothness(
         }
     }
     let (inverse, deviation) = (sum / information, information.powf(-0.5));
-    let scale = Estimate { value: -inverse.ln(), deviation: deviation / inverse };
-    (inverse > 0.0 && scale.deviation < LINEAR).then_some((scale, farther))
+    // A wrong gravity puts the object at a distance that is wrong by the same factor.
+    let of_gravity = gravity.map_or(0.0, |gravity| gravity.deviation / gravity.value);
+    let deviation = (deviation / inverse).hypot(of_gravity);
+    let scale = Estimate { value: -inverse.ln(), deviation };
+    let relative = |fall: &Estimate| fall.deviation / fall.value.abs();
+    let fall = falls.into_iter().min_by(|a, b| relative(a).total_cmp(&relative(b)));
+    (inverse > 0.0 && deviation < LINEAR).then_some(Smoothness { scale, farther, fall })
 }
 
 /// For each frame in which the middle is unknown, the length in frames of the gap that contains it; 0
@@ -409,6 +462,22 @@ mod tests {
     use glam::DQuat;
 
     #[test]
+    fn what_flies_shares_the_gravity_that_is_known_best() {
+        let fall = |value: f64, deviation: f64| Some(Estimate { value, deviation });
+        let shared = |falls: &[Option<Estimate>]| -> Vec<Option<f64>> {
+            shared_gravity(falls).into_iter().map(|g| g.map(|g| g.value)).collect()
+        };
+        let ball = fall(0.0021, 0.00015);
+        // A box whose own path tells less; a balloon that does not fall; a stone that falls in another way; a
+        // person who stands.
+        let others = [fall(0.0048, 0.0009), fall(0.001, 0.0005), fall(0.01, 0.001), None];
+        assert_eq!(shared(&[others[0], ball]), [Some(0.0021), None]);
+        assert_eq!(shared(&[ball, others[1], others[2], others[3]]), [None; 4]);
+        assert_eq!(shared(&[fall(-0.002, 0.0001), ball, others[1]]), [None; 3]);
+        assert!(shared(&[]).is_empty());
+    }
+
+    #[test]
     fn gaps_are_as_long_as_the_frames_that_are_not_known() {
         let known = [1, 0, 1, 0, 0, 0, 1, 0].map(|known| (known == 1).then_some(0.1));
         assert_eq!(unknown_for(&known), [0, 1, 0, 3, 3, 3, 0, 1]);
@@ -444,7 +513,8 @@ mod tests {
             })
             .collect();
         let error = |cameras: &Cameras| -> f64 {
-            let (scale, farther) = smoothness(&seen, cameras, 0, None).unwrap();
+            let Smoothness { scale, farther, .. } =
+                smoothness(&seen, cameras, 0, None, None).unwrap();
             let found = |t: usize| seen[t].depth + farther[t] + scale.value;
             (24..28).map(|t| (found(t) - depth(t).ln()).abs()).fold(0.0, f64::max)
         };
@@ -487,7 +557,7 @@ mod tests {
             let smooth = smooth.map(|value| Estimate { value, deviation: 0.01 });
             let before = Estimate { value, deviation: 0.3 };
             let path = vec![0.1, 0.2, 0.3];
-            Distance { path, scale: Scale::Bounded { before, smooth } }
+            Distance { path, scale: Scale::Bounded { before, smooth }, fall: None }
         };
         let known = bounded(1.0, Some(1.5));
         assert!(known.is_known() && !bounded(1.0, None).is_known());

@@ -43,6 +43,7 @@
 //! ([`Quality::motions`]).
 
 mod cameras;
+mod carried;
 mod contact;
 mod contour;
 mod depth;
@@ -391,6 +392,8 @@ pub fn track_observed(
         let part = "last/masks";
         let judged = masks::Judged::new(observed, Some(&plates), &mut work, part, 0.2..0.25)?;
         masks = judged.segment(drawn.as_deref(), &mut work, part, 0.25..0.3)?;
+        let (drawn, shares) = (drawn.as_deref(), 0.25..0.3);
+        masks = carried::revised(&judged, &plates, drawn, masks, &mut work, part, shares)?;
     }
     let mut ground = None;
     if cameras.have_parallax() && options.stereo && options.depth.is_none() {

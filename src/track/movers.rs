@@ -8,9 +8,10 @@ use rayon::prelude::*;
 use super::cameras::Cameras;
 use super::contour::Region;
 use super::depth::Layer;
-use super::distance::{Behind, Distance, distance};
+use super::distance::{Behind, Distance, distance, shared_gravity};
 use super::masks::regions;
 use super::objects::{self, Object};
+use super::path::Estimate;
 use super::relief::relief;
 use super::shape::{Frame, Shape, UPRIGHT_DRIFT, shape};
 use super::{Mover, estimated, quantile, unfollowed};
@@ -86,9 +87,16 @@ pub(super) fn lift(
         .map(|(i, (object, shape))| {
             let supplied = supplied(i as u16, object, shape, &owners, layers, flow.width);
             Distance::supplied(shape, &supplied)
-                .unwrap_or_else(|| distance(i, object, shape, cameras, &owners, behind))
+                .unwrap_or_else(|| distance(i, object, shape, cameras, &owners, behind, None))
         })
         .collect();
+    // What flies falls alike.
+    let falls: Vec<Option<Estimate>> = known.iter().map(Distance::fall).collect();
+    for (i, gravity) in shared_gravity(&falls).into_iter().enumerate() {
+        if gravity.is_some() {
+            known[i] = distance(i, &objects[i], &shapes[i], cameras, &owners, behind, gravity);
+        }
+    }
     join_connected(&objects, masks, &owners, &mut known);
     let mut scaled: Vec<(Vec<f64>, f32)> = known.iter().map(Distance::depths).collect();
     let reliefs: Vec<Vec<f64>> = (0..masks.len())

@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 pub(super) use focal::Focal;
 pub use motions::RigidMotion;
 pub(super) use motions::{Motions, Search};
-pub(super) use posing::{pose, reconstruct};
+pub(super) use posing::{Posing, pose, reconstruct};
 pub(super) use translating::translating;
 
 use super::stereo::Ground;

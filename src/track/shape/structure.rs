@@ -2,14 +2,15 @@
 
 use std::ops::Range;
 
-use glam::DQuat;
+use glam::{DQuat, DVec3};
 
-use super::super::cameras::{self, Cameras, Focal, Strictness};
+use super::super::cameras::{self, Cameras, Focal, Posing, Strictness};
 use super::super::objects::Object;
 use super::super::observer::{Progress, Work};
 use super::super::{Stage, quantile};
 use super::believed::believed;
 use super::joined::Piece;
+use crate::geometry::se3::log_so3;
 use crate::observe::PointTrack;
 
 /// Minimum numbers of frames and tracks of a structure from motion.
@@ -20,6 +21,10 @@ const LEAST_SEEN: usize = 12;
 /// Maximum reprojection error with the rotation kept, relative to that with the rotation free, of an object
 /// that does not rotate.
 const WORSE: f64 = 1.1;
+/// Number of starts of the structure from motion of an object that rotates, each with other random samples.
+const STARTS: u64 = 6;
+/// Change of the angular velocity from one step between frames to the next that is abrupt, radians.
+const ABRUPT: f64 = 0.2;
 /// Maximum difference between a step of the depth and the step that the change of size gives, as a logarithm.
 const JUMP: f64 = 0.12;
 /// Apparent depth, relative to the narrower side, from which the structure from motion is rejected in that
@@ -81,7 +86,8 @@ impl Clip<'_> {
         })
     }
 
-    /// The structure from motion of an object that rotates.
+    /// The structure from motion of an object that rotates: of all starts with about the least reprojection
+    /// error, the one whose rotation is steadiest.
     fn rotating(
         &self,
         within: Range<usize>,
@@ -91,43 +97,47 @@ impl Clip<'_> {
         let mut nothing = |_: Stage, _: f64| Ok(());
         let mut progress = Progress(&mut nothing);
         let mut work = Work::new(&mut progress);
-        let weights = vec![1.0; inside.len()];
-        let posing = cameras::pose(
-            inside,
-            &weights,
-            focal,
-            within.len(),
-            0,
-            Strictness::Usual,
-            &mut work,
-            "object",
-        )
-        .ok()?;
-        let posed = posing.longest_run();
-        let run = within.start + posed.start..within.start + posed.end;
-        let mut whole = (run == within).then_some(posing);
+        let mut posed = |tracks: &[PointTrack], frames: usize| -> Vec<Posing> {
+            let weights = vec![1.0; tracks.len()];
+            let usual = Strictness::Usual;
+            let mut pose = |seed| {
+                cameras::pose(tracks, &weights, focal, frames, seed, usual, &mut work, "object")
+            };
+            (0..STARTS).filter_map(|seed| pose(seed).ok()).collect()
+        };
+        let first = posed(inside, within.len());
+        let part = first.iter().map(Posing::longest_run).max_by_key(Range::len)?;
+        let run = within.start + part.start..within.start + part.end;
+        let mut whole = (run == within).then_some(first);
         self.trimmed(run, |run, tracks| {
             let weights = vec![1.0; tracks.len()];
-            let solved = match whole.take() {
-                // All tracks lie within the run.
-                Some(posing) => posing.adjusted(tracks, &weights, focal),
-                None => cameras::reconstruct(
-                    tracks,
-                    &weights,
-                    focal,
-                    run.len(),
-                    0,
-                    Strictness::Usual,
-                    &mut work,
-                    "object",
-                ),
+            let posings = whole.take().unwrap_or_else(|| posed(tracks, run.len()));
+            let adjusted = |posing: Posing| posing.adjusted(tracks, &weights, focal).ok();
+            let solved: Vec<Cameras> = posings.into_iter().filter_map(adjusted).collect();
+            let least = solved.iter().map(|cameras| cameras.rms).min_by(f64::total_cmp)?;
+            let alike = solved.into_iter().filter(|cameras| cameras.rms <= WORSE * least);
+            let unsteady = |cameras: &Cameras| -> f64 {
+                let changes = self.changes(cameras, run).into_iter();
+                changes.map(|change| (change / ABRUPT).powi(2).ln_1p()).sum()
             };
-            solved.ok()
+            let judged = alike.map(|cameras| (unsteady(&cameras), cameras));
+            Some(judged.min_by(|a, b| a.0.total_cmp(&b.0))?.1)
         })
     }
 
+    /// The changes of the object's angular velocity in the world from each step between frames to the next,
+    /// radians per frame.
+    fn changes(&self, cameras: &Cameras, run: &Range<usize>) -> Vec<f64> {
+        let rotations: Vec<DQuat> = (self.rotations[run.clone()].iter().zip(&cameras.poses))
+            .map(|(view, pose)| view.conjugate() * pose.rotation)
+            .collect();
+        let steps: Vec<DVec3> =
+            rotations.windows(2).map(|pair| log_so3(pair[1] * pair[0].conjugate())).collect();
+        steps.windows(2).map(|pair| pair[1].distance(pair[0])).collect()
+    }
+
     /// The accepted structure from motion in the longest part of a run in which its depths agree with the
-    /// sizes in the image. `solve` gives the cameras relative to the object from a run and the tracks in it.
+    /// sizes in the image and its rotation has no abrupt step. `solve` gives the cameras relative to the object from a run and the tracks in it.
     fn trimmed(
         &self,
         mut run: Range<usize>,
@@ -146,7 +156,8 @@ impl Clip<'_> {
             let off: Vec<f64> = (0..run.len() - 1).map(off).collect();
             let usual = quantile(off.clone(), 0.5);
             let good = |k: usize| deepness[k] < DEEPEST;
-            let goes_on = |k: usize| (off[k] - usual).abs() < JUMP;
+            let abrupt = abrupt(&self.changes(&solved, &run));
+            let goes_on = |k: usize| (off[k] - usual).abs() < JUMP && !abrupt[k];
             let solid = longest(run.len(), good, goes_on);
             if solid.len() == run.len() {
                 return Some(piece);
@@ -161,6 +172,21 @@ impl Clip<'_> {
         let tracks = self.tracks.iter().enumerate();
         tracks.filter_map(|(i, track)| Some((i, clipped(track, run)?))).unzip()
     }
+}
+
+/// Whether each step between frames is abrupt, from the `changes` of the angular velocity from step to step. At
+/// an abrupt step a structure takes near for far or another side for the one it has seen. Both changes beside
+/// it are large.
+fn abrupt(changes: &[f64]) -> Vec<bool> {
+    let large = |k: Option<usize>| k.and_then(|k| changes.get(k)).map(|change| *change > ABRUPT);
+    let step = |k: usize| match (large(k.checked_sub(1)), large(Some(k))) {
+        (Some(before), Some(after)) => before && after,
+        // At an end there is only one change; it may be due to the step beside.
+        (None, Some(after)) => after && large(Some(k + 1)) != Some(true),
+        (Some(before), None) => before && large(k.checked_sub(2)) != Some(true),
+        (None, None) => false,
+    };
+    (0..=changes.len()).map(step).collect()
 }
 
 /// The longest run of frames that are all `good`, with `goes_on` true for each step between them.
@@ -198,6 +224,21 @@ fn clipped(track: &PointTrack, run: &Range<usize>) -> Option<PointTrack> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn both_changes_beside_an_abrupt_step_are_large() {
+        let steps = |changes: &[f64]| -> Vec<usize> {
+            let abrupt = abrupt(changes);
+            (0..abrupt.len()).filter(|k| abrupt[*k]).collect()
+        };
+        assert_eq!(steps(&[0.02, 0.6, 0.5, 0.03]), [2]);
+        // A rotation that changes once, as at a bounce, has no abrupt step.
+        assert_eq!(steps(&[0.02, 0.6, 0.03, 0.02]), [] as [usize; 0]);
+        assert_eq!(steps(&[0.6, 0.02, 0.02]), [0]);
+        assert_eq!(steps(&[0.6, 0.5, 0.02]), [1]);
+        assert_eq!(steps(&[0.02, 0.02, 0.6]), [3]);
+        assert_eq!(steps(&[]), [] as [usize; 0]);
+    }
 
     #[test]
     fn the_longest_run_of_what_is_as_it_should_be() {
