@@ -9,7 +9,7 @@ use glam::DVec2;
 use rayon::prelude::*;
 use serde_json::{Value, json};
 use splat4d::data::transforms::{self, TimedCamera};
-use splat4d::data::{Point, exr, intrinsics, points, tracks, write_mask, write_png};
+use splat4d::data::{Point, exr, points, tracks, write_mask, write_png};
 use splat4d::observe::{FeatureSource, MaskSource};
 use splat4d::track::{Landmark, Sources, Track, track_observed};
 use splat4d::train::Quality;
@@ -20,7 +20,7 @@ use super::clip::{ClipArgs, shots_json};
 use super::clock::Clock;
 use super::common::{Answer, Common, notes, path_text, say};
 use super::interrupt;
-use super::known::{KnownArgs, flow_source, focal_source, lens_json, poses_json, write_cameras};
+use super::known::{KnownArgs, flow_source, intrinsics_json, lens_json, poses_json, write_cameras};
 use super::networks::{TrackNetworks, estimate_depth, estimate_pointmaps};
 use super::origins::{self, Networks};
 use super::outputs::Outputs;
@@ -173,14 +173,12 @@ pub fn run(args: &TrackArgs, common: &Common) -> Result<Answer> {
     .html()?;
     clock.lap("page");
 
-    let mut known_intrinsics = intrinsics::to_json(&track.intrinsics);
-    known_intrinsics["source"] = json!(focal_source(found.focal_source));
     let mut json = json!({
         "frames": frames.len(),
         "frame_names": names,
         "shot": clip.shot,
         "shots": shots_json(&clip.shots),
-        "intrinsics": known_intrinsics,
+        "intrinsics": intrinsics_json(&track),
         "lens": lens_json(track.lens.as_ref()),
         "poses": poses_json(found),
         "exposure": (!track.exposure.is_constant()).then_some(&track.exposure.gains),
