@@ -125,7 +125,7 @@ pub fn note_broken_gradients(trained: &Value, all: &mut Vec<String>) {
     }
     let note = format!(
         "{count} gradients were not a number or infinite and were left out; look for cameras that do not \
-         fit their pictures, or check the driver with `splat4d validate`"
+         fit their images, or check the driver with `splat4d validate`"
     );
     notes(std::slice::from_ref(&note));
     all.push(note);

@@ -49,9 +49,9 @@ const TRACK_BYTES: u64 = 72;
 
 const AFTER_HELP: &str = "\
 The clip is a moving camera's: a video file (read through ffmpeg), a folder of frames in the order of
-their names, or a dataset as `train` takes it (its pictures to train on, by time) or of one clip of
+their names, or a dataset as `train` takes it (its training images, by time) or of one clip of
 DAVIS. Of a clip with cuts one shot is taken, the longest unless --shot says another;
---every and --max-frames count within it. A camera that stands still is recognised; then its pictures
+--every and --max-frames count within it. A camera that stands still is recognised; then its frames
 give no depth by themselves, and new views stay close to the old ones.
 
 Examples:
@@ -63,24 +63,23 @@ Examples:
 With --view only this machine reaches the page; with --host the machines that reach that address do, too, and
 the page's address then holds a random token. The page changes nothing of the scene that comes out.
 
-JSON: psnr_input, ssim_input, gaussians, control_points,
-control_points_added and control_points_removed (in training), windows (into which the clip was cut, so that
-what moves has Gaussians of its own in each; null where nothing moves), broken_gradients (values that were not
-a number or infinite and were left out), dynamic_share (of the pixels),
-dynamic_gaussians (share), intrinsics {fx, fy, cx, cy, width, height, source (given,
-measured, assumed)}, lens (by which the frames were undistorted: {k1, fx, fy, cx, cy, width, height};
+JSON: psnr_input, ssim_input, gaussians, control_points, control_points_added and control_points_removed (in
+training), windows (into which the clip was cut, so that what moves has Gaussians of its own in each; null
+where nothing moves), broken_gradients (values that were not a number or infinite and were left out),
+dynamic_share (of the pixels), dynamic_gaussians (share), intrinsics {fx, fy, cx, cy, width, height, source
+(given, measured, assumed)}, lens (by which the frames were undistorted: {k1, fx, fy, cx, cy, width, height};
 null of a pinhole), poses {tripod, turns, inlier_share, reprojection_rms, parallax_deg, focal_std,
-doubtful_frames, tracks, motions (that the static world was chosen from, where that was in doubt:
-[{explained, hidden, hides}]), static_motion (the one taken, or null)}, exposure (per frame, by what
-red, green and blue were multiplied, 0.055 added to the encoded values; null where it does not
-change), frames, frame_names, shot (the one taken, or null), shots ([first, last] frame of each,
-in the whole clip; empty where no cut was found), quality, model [{what, chosen, because, saves}] (each choice, the measurement that decided and what it saves),
-sources (of cameras, flow, depth, masks, pointmaps, features and tracks: {source (built_in, network, supplied,
-none), from (the network's file or the option), how}), notes, device, predicted_bytes (of device
+doubtful_frames, tracks, motions (that the static world was chosen from, where that was in doubt: [{explained,
+hidden, hides}]), static_motion (the one taken, or null)}, exposure (per frame, by what red, green and blue
+were multiplied, 0.055 added to the encoded values; null where it does not change), frames, frame_names, shot
+(the one taken, or null), shots ([first, last] frame of each, in the whole clip; empty where no cut was
+found), quality, model [{what, chosen, because, saves}] (each choice, the measurement that decided and what it
+saves), sources (of cameras, flow, depth, masks, pointmaps, features and tracks: {source (built_in, network,
+supplied, none), from (the network's file or the option), how}), notes, device, predicted_bytes (of device
 memory, before it began), all also kept in the scene; and, in report.json too, peak_bytes,
-milliseconds_per_step, seconds {load, flow, cameras, masks, depth, static, joint, evaluate}; output. report.json
-alone has training [{phase (static, joint), step, gaussians, l1, ssim, psnr (dB, or null)}], measured on one
-picture each";
+milliseconds_per_step, seconds {load, flow, cameras, masks, depth, static, joint, evaluate}; output.
+report.json alone has training [{phase (static, joint), step, gaussians, l1, ssim, psnr (dB, or null)}],
+measured on one frame each";
 
 const QUALITY: &str = "longest side of the frames, steps, most Gaussians (or one for so many
 pixels of a frame, where that is more), most control points, degree of the spherical harmonics.";

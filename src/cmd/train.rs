@@ -36,13 +36,13 @@ use super::watcher::{Kept, Watcher};
 use super::{reconstruct_pictures, sheet, tuning, values};
 
 const AFTER_HELP: &str = "\
-Pictures that have times (`time` in transforms.json, D-NeRF, HyperNeRF) make a scene that moves; others, and
+Images that have times (`time` in transforms.json, D-NeRF, HyperNeRF) make a scene that moves; others, and
 with --static all, make a static one.
 
 DATASET is a folder, and what is in it tells its kind: transforms.json (nerfstudio, instant-ngp, or the
 file itself), transforms_train.json (D-NeRF), scene.json with dataset.json (Nerfies, HyperNeRF, DyCheck; or
 one of its rgb/Nx), poses_bounds.npy (LLFF, DyNeRF, NVIDIA dynamic scenes), a COLMAP model (sparse/0, binary
-or text), or the pictures of one sequence of MPI Sintel (training/final/NAME).
+or text), or the images of one sequence of MPI Sintel (training/final/NAME).
 
 Examples:
   splat4d train captures/fox -o fox.safetensors --steps 2000 --size 480
@@ -52,14 +52,14 @@ Examples:
 With --view only this machine reaches the page; with --host the machines that reach that address do, too, and
 the page's address then holds a random token. The page changes nothing of the scene that comes out.
 
-JSON: psnr_input, psnr_test (null where nothing is held out), ssim_test,
-gaussians, control_points, control_points_added, control_points_removed (null where nothing moves),
-broken_gradients (values that were not a number or infinite and were left out),
-dynamic_share, model [{what, chosen, because, saves}], density (null where their number is kept),
-steps, images, held_out, device, predicted_bytes (of device memory, before it began; with --view also of
-the page, in the scene without it), all also kept in the scene; and, in report.json too, peak_bytes, milliseconds_per_step,
-seconds {load, train, evaluate}; output. report.json alone has training [{phase (static, joint), step,
-gaussians, l1, ssim, psnr (dB, or null)}], measured on one picture each";
+JSON: psnr_input, psnr_test (null where nothing is held out), ssim_test, gaussians, control_points,
+control_points_added, control_points_removed (null where nothing moves), broken_gradients (values that were
+not a number or infinite and were left out), dynamic_share, model [{what, chosen, because, saves}], density
+(null where their number is kept), steps, images, held_out, device, predicted_bytes (of device memory, before
+it began; with --view also of the page, in the scene without it), all also kept in the scene; and, in
+report.json too, peak_bytes, milliseconds_per_step, seconds {load, train, evaluate}; output. report.json alone
+has training [{phase (static, joint), step, gaussians, l1, ssim, psnr (dB, or null)}], measured on one image
+each";
 
 /// Host memory per Gaussian during initialisation, bytes: the point, the neighbour tree, and all its values
 /// twice.
@@ -106,7 +106,7 @@ pub struct TrainArgs {
     #[arg(long, value_name = "0..3", default_value_t = 3,
           value_parser = values::whole::<u32>(0..=3))]
     sh_degree: u32,
-    /// Train a static scene, although the pictures have times
+    /// Train a static scene, although the images have times
     #[arg(long = "static")]
     still: bool,
     /// Maximum number of control points of a dynamic scene
@@ -148,7 +148,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
     let mut set = open_set(args, &outputs)?;
     let (train, test) = set.split(args.eval_every);
     if train.is_empty() {
-        let what = "every picture is held out; train on some with a larger --eval-every";
+        let what = "every image is held out; train on some with a larger --eval-every";
         return Err(Error::Input(what.into()));
     }
     let device = common.open_device()?;
@@ -157,7 +157,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
     let (train, test) = (set.load(&train, size)?, set.load(&test, size)?);
     let first = first_gaussians(args, &set);
     say(&format!(
-        "{} pictures to train on, {} held out, {} Gaussians to begin with",
+        "{} images to train on, {} held out, {} Gaussians to begin with",
         train.len(),
         test.len(),
         thousands(first)
@@ -278,7 +278,7 @@ fn open_set(args: &TrainArgs, outputs: &Outputs) -> Result<Dataset> {
     outputs.spare(&Inputs::new(read, []))?;
     set.background = args.background.unwrap_or(set.background);
     if set.frames.len() < 2 {
-        let what = "holds one picture only; a scene needs two at least, from different places";
+        let what = "holds one image only; a scene needs two at least, from different places";
         return Err(Error::format(&args.dataset, what));
     }
     Ok(set)
@@ -303,14 +303,14 @@ fn settings(args: &TrainArgs, common: &Common, set: &Dataset, tuning: &Tuning) -
 /// How the scene moves, if it does, and the reason.
 fn motion(args: &TrainArgs, set: &Dataset, tuning: &Tuning) -> (Option<PosedMotion>, Choice) {
     if !set.timed || args.still {
-        let because = if set.timed { "--static" } else { "the pictures have no times" };
+        let because = if set.timed { "--static" } else { "the images have no times" };
         return (None, Choice::new("motion", "none: no control points, no network", because));
     }
     let usual = PosedMotion { control_points: args.control_points, ..Default::default() };
     let most = tuning.neighbours.map_or(usual.neighbours, |k| k as usize);
     let motion = PosedMotion { neighbours: usual.neighbours.min(most), ..usual };
     let chosen = "every Gaussian follows control points (--static: none)";
-    (Some(motion), Choice::new("motion", chosen, "the pictures have times"))
+    (Some(motion), Choice::new("motion", chosen, "the images have times"))
 }
 
 /// Shows the dataset's images beside the scene, in the order of their times.
@@ -433,7 +433,7 @@ fn text(report: &Value, clock: &Clock) -> String {
     let number = |key: &str| report[key].as_f64();
     let decibels = |key| number(key).map_or("none".into(), |v| format!("{v:.2} dB"));
     format!(
-        "scene        {}\nPSNR, input  {}\nPSNR, test   {} ({} pictures)\nGaussians    {}\n\
+        "scene        {}\nPSNR, input  {}\nPSNR, test   {} ({} images)\nGaussians    {}\n\
          step         {:.1} ms\ntime         {}\nmemory       {} at most on the device\n",
         report["output"].as_str().unwrap_or_default(),
         decibels("psnr_input"),

@@ -166,7 +166,7 @@ fn video_size(path: &Path, shape: Option<Vec<usize>>) -> Result<(u32, u32)> {
         _ => None,
     };
     size.ok_or_else(|| {
-        let what = "holds `points`, which are shares of a picture's sides, and no `video` (frames × height × \
+        let what = "holds `points`, which are shares of an image's sides, and no `video` (frames × height × \
                     width × 3) that tells the sides";
         Error::format(path, what)
     })

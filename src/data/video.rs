@@ -485,7 +485,7 @@ fn read_ppm(from: &mut impl BufRead) -> std::io::Result<Option<Image>> {
     if from.fill_buf()?.is_empty() {
         return Ok(None);
     }
-    let odd = || std::io::Error::other("ffmpeg gave something else than a PPM picture");
+    let odd = || std::io::Error::other("ffmpeg gave something else than a PPM image");
     let mut words = Vec::new();
     while words.len() < 4 {
         let mut line = Vec::new();
