@@ -103,6 +103,22 @@ fn help_has_an_example_of_every_command() {
     }
 }
 
+/// The texts behind the options are broken by hand.
+#[test]
+fn help_without_a_terminal_keeps_the_lines_of_its_texts() {
+    for command in COMMANDS {
+        let help = |columns: Option<&str>| {
+            let mut program = program();
+            program.args([command, "--help"]).env_remove("COLUMNS");
+            let output =
+                program.envs(columns.map(|columns| ("COLUMNS", columns))).output().unwrap();
+            let help = String::from_utf8(output.stdout).unwrap();
+            help.split_once("\nExample").expect("an example").1.to_owned()
+        };
+        assert_eq!(help(None), help(Some("10000")), "{command}");
+    }
+}
+
 #[test]
 fn shells_complete_what_the_program_takes() {
     let folder = tempfile::tempdir().unwrap();
