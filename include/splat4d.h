@@ -29,7 +29,7 @@
  *   check that either.
  * - Threads. A splat4d_device may be used by any number of threads at once, and nothing is global. Any
  *   other handle may go from thread to thread, and is used by one at a time.
- * - Transforms are named a_from_b. Pictures are row by row from the upper left; floats are 32 bits.
+ * - Transforms are named a_from_b. Images are row by row from the upper left; floats are 32 bits.
  */
 
 #ifndef SPLAT4D_H

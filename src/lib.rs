@@ -125,7 +125,6 @@ pub mod error;
 #[cfg(feature = "reconstruct")]
 pub mod eval;
 #[cfg(feature = "reconstruct")]
-#[allow(clippy::too_many_arguments, reason = "one function takes a point with its derivatives")]
 pub mod geometry;
 pub mod gpu;
 #[cfg(feature = "files")]

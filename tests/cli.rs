@@ -103,6 +103,22 @@ fn help_has_an_example_of_every_command() {
     }
 }
 
+/// The texts behind the options are broken by hand.
+#[test]
+fn help_without_a_terminal_keeps_the_lines_of_its_texts() {
+    for command in COMMANDS {
+        let help = |columns: Option<&str>| {
+            let mut program = program();
+            program.args([command, "--help"]).env_remove("COLUMNS");
+            let output =
+                program.envs(columns.map(|columns| ("COLUMNS", columns))).output().unwrap();
+            let help = String::from_utf8(output.stdout).unwrap();
+            help.split_once("\nExample").expect("an example").1.to_owned()
+        };
+        assert_eq!(help(None), help(Some("10000")), "{command}");
+    }
+}
+
 #[test]
 fn shells_complete_what_the_program_takes() {
     let folder = tempfile::tempdir().unwrap();
@@ -713,7 +729,7 @@ fn a_reference_that_is_a_video_is_named() {
     let output = run(trained(), "eval scene.safetensors reference.mp4");
     assert_eq!(output.status.code(), Some(1));
     let said = stderr(&output);
-    says(&said, &["reference.mp4", "dataset", "a video or picture has no known cameras"]);
+    says(&said, &["reference.mp4", "dataset", "a video or image has no known cameras"]);
     assert!(!said.contains("scene.safetensors"), "{said}");
 }
 
@@ -852,7 +868,7 @@ fn a_video_where_ffmpeg_is() {
         let clip = splat4d::data::Clip::open(folder.path().join("new/orbit.mp4"), &options);
         let clip = clip.unwrap();
         assert_eq!((clip.frames.len(), clip.width, clip.height), (4, 42, 26));
-        assert_eq!(content(&folder.path().join("new")).len(), 1, "the pictures are gone");
+        assert_eq!(content(&folder.path().join("new")).len(), 1, "the images are gone");
         says(&fails(folder.path(), 1, &format!("{render} --exr")), &["--exr", "folder"]);
     }
     let empty = folder.path().join("nothing");
@@ -942,7 +958,7 @@ fn sizes_are_checked_before_memory_is_asked_for() {
     }
     let half_a_terabyte = "render blobs.ply -o x --frames 1000 --times 1001";
     let said = fails_within(folder.path(), 4096, 1, half_a_terabyte);
-    says(&said, &["1,001,000 pictures", "--times", "--frames"]);
+    says(&said, &["1,001,000 images", "--times", "--frames"]);
     for (arguments, parts) in [
         ("render blobs.ply -o x --frames 1 --size 65535x65535", &["65535×65535", "memory"][..]),
         ("train set -o x --random-points 100000000", &["100,000,000", "--random-points"]),
@@ -1118,7 +1134,7 @@ fn bad_datasets_are_named() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
     dataset(&at("one"), 1);
-    says(&fails(folder.path(), 1, "train one -o x"), &["one picture"]);
+    says(&fails(folder.path(), 1, "train one -o x"), &["one image"]);
     dataset(&at("broken"), 4);
     let whole = fs::read(at("broken/2.png")).unwrap();
     fs::write(at("broken/2.png"), &whole[..whole.len() / 2]).unwrap();
@@ -1307,7 +1323,7 @@ fn supplied_poses_stay_with_their_frames_when_one_is_left_out() {
     let (frames, whole) = residual("");
     assert_eq!(frames, Some(8));
     let frame = images::list(&folder.path().join("clip/frames")).unwrap().swap_remove(3);
-    fs::write(frame, "no picture").unwrap();
+    fs::write(frame, "no image").unwrap();
     let (frames, without) = residual("--skip-bad");
     assert_eq!(frames, Some(7));
     // Measured: 0.129 px on the whole clip, 0.127 px without the frame, 0.315 px with all poses after it
@@ -1391,10 +1407,10 @@ fn pictures_too_large_for_memory_are_told() {
         said
     };
     let said = limited(1_800_000);
-    says(&said, &[".png: a picture of 12000×12000 needs", "B of memory", "are available"]);
+    says(&said, &[".png: an image of 12000×12000 needs", "B of memory", "are available"]);
     // One image at a time fits, two do not.
     let said = limited(4_000_000);
-    says(&said, &["pictures of 12000×12000 take 2197.3 MiB of memory each while", "no parallax"]);
+    says(&said, &["images of 12000×12000 take 2197.3 MiB of memory each while", "no parallax"]);
 }
 
 /// Puts an `ffmpeg` that runs a script first on the path.

@@ -295,7 +295,7 @@ fn colmap_in_the_folder_itself_and_at_half_size() {
 
     write_png(root.path().join("im 7.png"), &picture(30, 15, 0)).unwrap();
     says(&message(Dataset::open(root.path())), &["im 7.png", "30×15", "40×30"]);
-    fs::write(root.path().join("im 7.png"), b"no picture").unwrap();
+    fs::write(root.path().join("im 7.png"), b"no image").unwrap();
     says(&message(Dataset::open(root.path())), &["im 7.png", "cannot be read as an image"]);
 
     let text = "1 FULL_OPENCV 40 30 50 51 20 15 0 0 0 0 0 0 0 0\n";

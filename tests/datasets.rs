@@ -391,7 +391,7 @@ fn dycheck_by_the_commands() {
     let train = "train set -o a.safetensors --steps 2 --random-points 60 --sh-degree 0 --size 40";
     let report = program::json(root, train);
     assert_eq!((&report["images"], &report["held_out"]), (&json!(4), &json!(2)));
-    assert!(report["control_points"].as_u64() > Some(0), "the pictures have times");
+    assert!(report["control_points"].as_u64() > Some(0), "the images have times");
     // One of the two test images has no mask.
     let found = program::json(root, "eval a.safetensors set --size 40");
     assert_eq!(found["per_frame"].as_array().unwrap().len(), 2);
@@ -512,7 +512,7 @@ fn llff() {
     assert_eq!((read.len(), read[3].bounds), (10, [2.0, 20.0]));
 
     fs::remove_file(root.join("images/IMG_7.png")).unwrap();
-    says(&message(Dataset::open(root)), &["images", "9 pictures", "10 cameras"]);
+    says(&message(Dataset::open(root)), &["images", "9 images", "10 cameras"]);
 }
 
 /// Frames that the cameras of a row took in turn, and the images of all of them, in NSFF's layout of
@@ -542,7 +542,7 @@ fn nvidia_in_turn() {
     let clip = Clip::open(root, &ClipOptions::default()).unwrap();
     assert_eq!(files_of(&clip), ["00000", "00001", "00002", "00003", "00004"]);
     (2..9).for_each(|c| draw(&root.join(format!("mv_images/00003/cam1{c}.png")), &seen(0, 2)));
-    says(&message(Dataset::open(root)), &["00003", "10 pictures", "5 rows"]);
+    says(&message(Dataset::open(root)), &["00003", "10 images", "5 rows"]);
 }
 
 /// The real scene, 12 cameras in a row at 12 times: its two camera files agree.
@@ -688,7 +688,7 @@ fn dynerf_videos_and_folders() {
     says(&message(Dataset::open(root)), &["cam11.mp4", "ffprobe"]);
     fs::remove_file(root.join("cam11.mp4")).unwrap();
     fs::create_dir(root.join("cam11")).unwrap();
-    says(&message(Dataset::open(root)), &["cam11", "no pictures"]);
+    says(&message(Dataset::open(root)), &["cam11", "no images"]);
     draw(&root.join("cam11/0.png"), &picture(60, 60, 0));
     says(&message(Dataset::open(root)), &["60×60", "160×120"]);
 }

@@ -40,7 +40,7 @@ fn undistortion_undoes_the_lens() {
     }
     let camera = Lens { intrinsics: k, distortion: lens };
     let (found, valid) = camera.undistort(&bent, &k);
-    let valid = valid.expect("k1 > 0 pushes corners out of the picture");
+    let valid = valid.expect("k1 > 0 pushes corners out of the image");
     assert_eq!(valid.at(60, 45), [1.0]);
     assert_eq!(valid.at(0, 0), [0.0]);
     let mut worst = 0.0f32;
@@ -74,7 +74,7 @@ fn clip_of_a_folder() {
     says(&message(Clip::open(root.path(), &options)), &["holds no images"]);
     let frames = root.path().join("frames");
     write_png(frames.join("f10.png"), &picture(40, 30, 10)).unwrap();
-    fs::write(frames.join("readme.txt"), "no picture").unwrap();
+    fs::write(frames.join("readme.txt"), "no image").unwrap();
     says(&message(Clip::open(root.path(), &options)), &["one frame only"]);
     says(&message(Clip::open(frames.join("f10.png"), &options)), &["one frame only"]);
     for i in [2, 9, 11] {

@@ -175,7 +175,7 @@ fn pictures_are_held_against_each_other() {
         assert!((told - expected).abs() < 1e-6 * expected, "{width}×{height}: {told} {expected}");
     }
     let uneven = network.distance(&Image::new(4, 4, 3), &Image::new(4, 5, 3));
-    says(&message(uneven), &["pictures of one size", "from 4×4 to 4×5"]);
+    says(&message(uneven), &["images of one size", "from 4×4 to 4×5"]);
     let mut nothing = Image::new(4, 4, 3);
     nothing.pixels[5] = f32::NAN;
     says(&message(network.distance(&nothing, &Image::new(4, 4, 3))), &["`distance` is NaN"]);
@@ -343,7 +343,7 @@ fn what_is_wrong_about_a_mask_network_is_told() {
             named("picture.size = [8, 8]", "picture.multiple = 1"),
             &["mask_encoder.onnx", "which `size`"],
         ),
-        (named("[8, 8]", "[8, 0]"), &["mask_encoder.onnx", "pictures of 8×0"]),
+        (named("[8, 8]", "[8, 0]"), &["mask_encoder.onnx", "images of 8×0"]),
         (
             format!("[mask_encoder]\nfile = \"flow.onnx\"\n{decoder}"),
             &["flow.onnx", "is listed for mask_encoder, and computes flow"],

@@ -85,7 +85,7 @@ fn a_reconstruction_is_told_on_a_page() {
         opened.wait_for(&format!("{players}[{player}] > 0"));
     }
     let seen = "[...document.images].filter(picture => picture.offsetParent).length";
-    assert_eq!(opened.evaluate(seen), json!(5 + 1), "one picture of each lane is seen");
+    assert_eq!(opened.evaluate(seen), json!(5 + 1), "one image of each lane is seen");
     let broken = "[...document.querySelectorAll('dt')].filter(name => { const text = document.createRange(); \
         text.selectNodeContents(name); \
         return !name.textContent.includes(' ') && text.getClientRects().length > 1; \
@@ -134,7 +134,7 @@ fn a_training_is_told_on_a_page_from_its_first_step_though_it_was_resumed() {
     let page = fs::read_to_string(&file).unwrap();
     let psnr = format!("{:.2} dB", report["psnr_test"].as_f64().unwrap());
     says(&page, &["splat4d train: truth", &psnr, "2 that were held out", "400 Gaussians"]);
-    says(&page, &["Pictures that were held out", "From aside", "Where the cameras are"]);
+    says(&page, &["Images that were held out", "From aside", "Where the cameras are"]);
     says(&page, &["What was modelled, and what was left out", "Time and memory", "--resume"]);
     assert!(!page.contains("what lay before it is not shown"), "the whole curve is there");
     let words: String = page
@@ -164,7 +164,7 @@ fn a_training_is_told_on_a_page_from_its_first_step_though_it_was_resumed() {
         assert_eq!(opened.overflow(width), 0, "at {width} pixels");
     }
     let seen = "[...document.images].filter(picture => picture.offsetParent).length";
-    assert_eq!(opened.evaluate(seen), json!(5 + 1), "one picture of each lane is seen");
+    assert_eq!(opened.evaluate(seen), json!(5 + 1), "one image of each lane is seen");
     assert!(opened.said.is_empty(), "{:?}", opened.said);
 }
 

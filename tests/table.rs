@@ -492,7 +492,7 @@ fn dynerf_by_one_camera_to_a_table() {
     equal(row, by_skimage(sheets(&at("pictures"), None)), &OF_PICTURES);
     assert_eq!(row["figures"]["minutes"].as_f64().map(|minutes| minutes > 0.0), Some(true));
     let caption = found["caption"].to_string();
-    says(&caption, &["Trained on cam00, tested with cam05, cam06.", "fitted to test pictures"]);
+    says(&caption, &["Trained on cam00, tested with cam05, cam06.", "fitted to test images"]);
     let published = found["published"].as_array().unwrap();
     assert!(published.iter().any(|row| row["figures"]["psnr"] == 19.6));
     let kept: Value = serde_json::from_str(&fs::read_to_string(at("eval.json")).unwrap()).unwrap();

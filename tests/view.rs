@@ -498,7 +498,7 @@ fn the_input_is_shown_from_its_video() {
         assert_eq!(told["frames"], count, "{}", String::from_utf8_lossy(&output.stderr));
     }
     // A file that is not a video is an error.
-    for (name, what) in [("0.png", "one picture"), ("scene.safetensors", "video")] {
+    for (name, what) in [("0.png", "one image"), ("scene.safetensors", "video")] {
         let output = Command::new(env!("CARGO_BIN_EXE_splat4d"))
             .current_dir(folder.path())
             .args(["view", "scene.safetensors", "--frames", name, "--device", "software"])

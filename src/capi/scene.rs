@@ -319,7 +319,7 @@ pub(super) unsafe fn camera_of(from: *const splat4d_camera) -> Outcome<Camera> {
     }
     if c.width == 0 || c.height == 0 {
         let (width, height) = (c.width, c.height);
-        return Err(input(format!("camera: a picture of {width} x {height} pixels")));
+        return Err(input(format!("camera: an image of {width} x {height} pixels")));
     }
     let [w, x, y, z] = c.rotation;
     let rotation = match c.rotation == [0.0; 4] {

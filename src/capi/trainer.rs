@@ -276,7 +276,7 @@ pub unsafe extern "C" fn splat4d_trainer_step(trainer: *mut splat4d_trainer) -> 
         match &mut exclusive("trainer", trainer)?.kind {
             Kind::OnViews(trainer) => Ok(trainer.step()?),
             Kind::Alone(_) => {
-                let what = "a step on the trainer's own pictures: there are none; see \
+                let what = "a step on the trainer's own images: there are none; see \
                             splat4d_trainer_forward";
                 Err(input(what))
             }

@@ -115,7 +115,7 @@ fn train(h: &mut Harness, by: Moved) -> Result<()> {
     }
     let after = trainer.loss()?.map(|loss| loss.l1);
     let better = before.zip(after).is_some_and(|(before, after)| after < 0.8 * before);
-    h.holds("training makes the pictures better", better);
+    h.holds("training makes the images better", better);
     let found = trainer.gaussians()?;
     h.holds("it grew", found.len() > seeds.len());
     h.note(found.positions.as_flattened());

@@ -176,73 +176,86 @@ fn start(h: &mut Harness) -> Result<()> {
             h.exact(&s.what("census"), &got, &flow::census(&level.luma, s.width, s.height));
             census.push(got);
         }
-        let buffers = [upload(h, &census[0])?, upload(h, &census[1])?];
-        // The largest window, and windows with fewer displacements than a workgroup has
-        // invocations.
-        for radius in [16usize, 1, 0] {
-            let labels = (2 * radius + 1) * (2 * radius + 1);
-            let mut volume = h.output::<u32>("flow volume", n * labels)?;
-            let mut truth = vec![0; n * labels];
-            let (small_step, large_step) = (3, 20);
-            for path in 0..4 {
-                let lines = if path < 2 { s.height } else { s.width };
-                let mut recorder = h.stream.record()?;
-                recorder.dispatch::<kernel::Path>(
-                    Groups::linear(lines, 1, h.device.limits())?,
-                    kernel::PathParams {
-                        width,
-                        height,
-                        radius: radius as i32,
-                        path: path as u32,
-                        small_step,
-                        large_step,
-                    },
-                    kernel::PathArgs {
-                        census_a: buffers[0].view(),
-                        census_b: buffers[1].view(),
-                        volume: volume.view_mut(),
-                    },
-                )?;
-                h.stream.submit(recorder)?;
-                flow::accumulate(
-                    &census[0],
-                    &census[1],
-                    [s.width, s.height],
-                    radius,
-                    path,
-                    [small_step, large_step],
-                    &mut truth,
-                );
-            }
-            let got = h.read(&volume)?;
-            h.exact(&s.what(&format!("volume of radius {radius}")), &got, &truth);
-            let volume = upload(h, &truth)?;
-            let params = kernel::CheapestParams { count: n as u32, radius: radius as i32 };
-            let groups = Groups::linear(n, 64, h.device.limits())?;
-            let got = run!(h, Cheapest, groups, params, n, |flow: [f32; 2]| {
-                kernel::CheapestArgs { volume: volume.view(), flow }
-            });
-            h.exact(&s.what("cheapest"), &got, &flow::cheapest::<f32>(&truth, radius));
-        }
-        let coarse = upload(h, &singles(&s.flow))?;
-        for fine in [[2 * s.width, 2 * s.height], [2 * s.width - 1, 2 * s.height - 1]] {
-            let got = run!(
-                h,
-                Upsample,
-                grid::<kernel::Upsample>(fine[0], fine[1]),
-                kernel::UpsampleParams {
-                    coarse_width: width,
-                    coarse_height: height,
-                    width: fine[0] as i32,
-                    height: fine[1] as i32,
+        volumes(h, &s, &census)?;
+        upsampled(h, &s)?;
+    }
+    Ok(())
+}
+
+/// The matching costs of all displacements, and the cheapest displacement.
+fn volumes(h: &mut Harness, s: &Scene, census: &[Vec<u32>]) -> Result<()> {
+    let (n, width, height) = (s.pixels(), s.width as i32, s.height as i32);
+    let buffers = [upload(h, &census[0])?, upload(h, &census[1])?];
+    // The largest window, and windows with fewer displacements than a workgroup has
+    // invocations.
+    for radius in [16usize, 1, 0] {
+        let labels = (2 * radius + 1) * (2 * radius + 1);
+        let mut volume = h.output::<u32>("flow volume", n * labels)?;
+        let mut truth = vec![0; n * labels];
+        let (small_step, large_step) = (3, 20);
+        for path in 0..4 {
+            let lines = if path < 2 { s.height } else { s.width };
+            let mut recorder = h.stream.record()?;
+            recorder.dispatch::<kernel::Path>(
+                Groups::linear(lines, 1, h.device.limits())?,
+                kernel::PathParams {
+                    width,
+                    height,
+                    radius: radius as i32,
+                    path: path as u32,
+                    small_step,
+                    large_step,
                 },
-                fine[0] * fine[1],
-                |flow: [f32; 2]| kernel::UpsampleArgs { coarse: coarse.view(), flow }
+                kernel::PathArgs {
+                    census_a: buffers[0].view(),
+                    census_b: buffers[1].view(),
+                    volume: volume.view_mut(),
+                },
+            )?;
+            h.stream.submit(recorder)?;
+            flow::accumulate(
+                &census[0],
+                &census[1],
+                [s.width, s.height],
+                radius,
+                path,
+                [small_step, large_step],
+                &mut truth,
             );
-            let truth = flow::upsample(&s.flow, s.width, s.height, fine[0], fine[1]);
-            let (got, truth) = (got.as_flattened(), truth.as_flattened());
-            h.close(&s.what("upsampled"), got, truth, None, ROUNDING);
         }
+        let got = h.read(&volume)?;
+        h.exact(&s.what(&format!("volume of radius {radius}")), &got, &truth);
+        let volume = upload(h, &truth)?;
+        let params = kernel::CheapestParams { count: n as u32, radius: radius as i32 };
+        let groups = Groups::linear(n, 64, h.device.limits())?;
+        let got = run!(h, Cheapest, groups, params, n, |flow: [f32; 2]| {
+            kernel::CheapestArgs { volume: volume.view(), flow }
+        });
+        h.exact(&s.what("cheapest"), &got, &flow::cheapest::<f32>(&truth, radius));
+    }
+    Ok(())
+}
+
+fn upsampled(h: &mut Harness, s: &Scene) -> Result<()> {
+    let (width, height) = (s.width as i32, s.height as i32);
+    let coarse = upload(h, &singles(&s.flow))?;
+    for fine in [[2 * s.width, 2 * s.height], [2 * s.width - 1, 2 * s.height - 1]] {
+        let got = run!(
+            h,
+            Upsample,
+            grid::<kernel::Upsample>(fine[0], fine[1]),
+            kernel::UpsampleParams {
+                coarse_width: width,
+                coarse_height: height,
+                width: fine[0] as i32,
+                height: fine[1] as i32,
+            },
+            fine[0] * fine[1],
+            |flow: [f32; 2]| kernel::UpsampleArgs { coarse: coarse.view(), flow }
+        );
+        let truth = flow::upsample(&s.flow, s.width, s.height, fine[0], fine[1]);
+        let (got, truth) = (got.as_flattened(), truth.as_flattened());
+        h.close(&s.what("upsampled"), got, truth, None, ROUNDING);
     }
     Ok(())
 }
@@ -276,95 +289,136 @@ fn pack(patches: &[Patch<f64>]) -> Vec<[f32; 4]> {
         .collect()
 }
 
+/// A pair of levels on the device.
+struct Levels {
+    luma: [Buffer<f32>; 2],
+    derivatives: [Buffer<f32>; 2],
+}
+
+impl Levels {
+    fn of(h: &Harness, s: &Scene) -> Result<Levels> {
+        let derivatives =
+            |level: &Level<f64>| upload(h, singles(&level.derivatives).as_flattened());
+        Ok(Levels {
+            luma: [upload(h, &single(&s.a.luma))?, upload(h, &single(&s.b.luma))?],
+            derivatives: [derivatives(&s.a)?, derivatives(&s.b)?],
+        })
+    }
+}
+
 fn patches(h: &mut Harness) -> Result<()> {
-    let settings = FlowSettings::default();
-    let FlowSettings { search_steps, noise, .. } = settings;
     for size in SIZES {
         let s = Scene::new(h, size);
-        let (width, height) = (s.width as i32, s.height as i32);
-        let luma = [upload(h, &single(&s.a.luma))?, upload(h, &single(&s.b.luma))?];
-        let derivatives = upload(h, singles(&s.a.derivatives).as_flattened())?;
-        let start_flow = vec![[0.0; 2]; s.pixels()];
-        let start = upload(h, &singles(&start_flow))?;
-        // A guess for an image twice as large, with invalid entries.
-        let mut guess = flow::upsample(&s.flow, s.width, s.height, 2 * s.width, 2 * s.height);
-        guess.iter_mut().step_by(7).for_each(|f| *f = [f64::NAN; 2]);
-        let guess_buffer = upload(h, &singles(&guess))?;
-        let (nx, ny) = (flow::patch_grid(s.width), flow::patch_grid(s.height));
-        let mut truth = Vec::new();
-        for guided in [false, true] {
-            let at_half = (guess.as_slice(), 2 * s.width, 2 * s.height, 1);
-            truth = flow::search(&s.a, &s.b, &start_flow, guided.then_some(at_half), &settings);
-            let got = run!(
-                h,
-                Search,
-                grid::<kernel::Search>(nx, ny),
-                kernel::SearchParams {
-                    width,
-                    height,
-                    search_steps,
-                    noise,
-                    guess_width: if guided { 2 * width } else { 0 },
-                    guess_height: if guided { 2 * height } else { 0 },
-                    guess_scale: 2.0,
-                },
-                2 * nx * ny,
-                |patches: [f32; 4]| kernel::SearchArgs {
-                    luma_a: luma[0].view(),
-                    luma_b: luma[1].view(),
-                    derivatives_a: derivatives.view(),
-                    start: start.view(),
-                    guess: guess_buffer.view(),
-                    patches,
-                }
-            );
-            compare_patches(h, &s.what("search"), &got, &truth);
-        }
+        let levels = Levels::of(h, &s)?;
+        let mut truth = searched(h, &s, &levels)?;
         for pass in 0..2 {
-            let patches = upload(h, &pack(&truth))?;
-            let next = flow::propagate(&s.a, &s.b, &truth, pass, &settings);
-            let got = run!(
-                h,
-                Propagate,
-                grid::<kernel::Propagate>(nx, ny),
-                kernel::PropagateParams {
-                    width,
-                    height,
-                    search_steps,
-                    noise,
-                    reach: 1 + pass as i32,
-                },
-                2 * nx * ny,
-                |spread: [f32; 4]| kernel::PropagateArgs {
-                    luma_a: luma[0].view(),
-                    luma_b: luma[1].view(),
-                    derivatives_a: derivatives.view(),
-                    patches: patches.view(),
-                    spread,
-                }
-            );
-            compare_patches(h, &s.what("propagate"), &got, &next);
-            truth = next;
+            truth = propagated(h, &s, &levels, &truth, pass)?;
         }
-        let patches = upload(h, &pack(&truth))?;
+        densified(h, &s, &levels, &truth)?;
+    }
+    Ok(())
+}
+
+/// The search for each patch, without guesses and with them; returns the oracle's patches.
+fn searched(h: &mut Harness, s: &Scene, levels: &Levels) -> Result<Vec<Patch<f64>>> {
+    let settings = FlowSettings::default();
+    let FlowSettings { search_steps, noise, .. } = settings;
+    let (width, height) = (s.width as i32, s.height as i32);
+    let start_flow = vec![[0.0; 2]; s.pixels()];
+    let start = upload(h, &singles(&start_flow))?;
+    // A guess for an image twice as large, with invalid entries.
+    let mut guess = flow::upsample(&s.flow, s.width, s.height, 2 * s.width, 2 * s.height);
+    guess.iter_mut().step_by(7).for_each(|f| *f = [f64::NAN; 2]);
+    let guess_buffer = upload(h, &singles(&guess))?;
+    let (nx, ny) = (flow::patch_grid(s.width), flow::patch_grid(s.height));
+    let mut truth = Vec::new();
+    for guided in [false, true] {
+        let at_half = (guess.as_slice(), 2 * s.width, 2 * s.height, 1);
+        truth = flow::search(&s.a, &s.b, &start_flow, guided.then_some(at_half), &settings);
         let got = run!(
             h,
-            Densify,
-            s.groups::<kernel::Densify>(),
-            kernel::DensifyParams { width, height },
-            s.pixels(),
-            |flow: [f32; 2]| kernel::DensifyArgs {
-                luma_a: luma[0].view(),
-                luma_b: luma[1].view(),
-                patches: patches.view(),
-                flow,
+            Search,
+            grid::<kernel::Search>(nx, ny),
+            kernel::SearchParams {
+                width,
+                height,
+                search_steps,
+                noise,
+                guess_width: if guided { 2 * width } else { 0 },
+                guess_height: if guided { 2 * height } else { 0 },
+                guess_scale: 2.0,
+            },
+            2 * nx * ny,
+            |patches: [f32; 4]| kernel::SearchArgs {
+                luma_a: levels.luma[0].view(),
+                luma_b: levels.luma[1].view(),
+                derivatives_a: levels.derivatives[0].view(),
+                start: start.view(),
+                guess: guess_buffer.view(),
+                patches,
             }
         );
-        let dense = flow::densify(&s.a, &s.b, &truth);
-        // The weights' differences of nearly equal luminances carry few digits.
-        let bound = Bound { absolute: 2e-4, relative: 2e-5 };
-        h.close(&s.what("dense"), got.as_flattened(), dense.as_flattened(), None, bound);
+        compare_patches(h, &s.what("search"), &got, &truth);
     }
+    Ok(truth)
+}
+
+/// One pass of propagation; returns the oracle's patches after it.
+fn propagated(
+    h: &mut Harness,
+    s: &Scene,
+    levels: &Levels,
+    given: &[Patch<f64>],
+    pass: u32,
+) -> Result<Vec<Patch<f64>>> {
+    let settings = FlowSettings::default();
+    let FlowSettings { search_steps, noise, .. } = settings;
+    let patches = upload(h, &pack(given))?;
+    let (nx, ny) = (flow::patch_grid(s.width), flow::patch_grid(s.height));
+    let truth = flow::propagate(&s.a, &s.b, given, pass, &settings);
+    let got = run!(
+        h,
+        Propagate,
+        grid::<kernel::Propagate>(nx, ny),
+        kernel::PropagateParams {
+            width: s.width as i32,
+            height: s.height as i32,
+            search_steps,
+            noise,
+            reach: 1 + pass as i32,
+        },
+        2 * nx * ny,
+        |spread: [f32; 4]| kernel::PropagateArgs {
+            luma_a: levels.luma[0].view(),
+            luma_b: levels.luma[1].view(),
+            derivatives_a: levels.derivatives[0].view(),
+            patches: patches.view(),
+            spread,
+        }
+    );
+    compare_patches(h, &s.what("propagate"), &got, &truth);
+    Ok(truth)
+}
+
+fn densified(h: &mut Harness, s: &Scene, levels: &Levels, given: &[Patch<f64>]) -> Result<()> {
+    let patches = upload(h, &pack(given))?;
+    let got = run!(
+        h,
+        Densify,
+        s.groups::<kernel::Densify>(),
+        kernel::DensifyParams { width: s.width as i32, height: s.height as i32 },
+        s.pixels(),
+        |flow: [f32; 2]| kernel::DensifyArgs {
+            luma_a: levels.luma[0].view(),
+            luma_b: levels.luma[1].view(),
+            patches: patches.view(),
+            flow,
+        }
+    );
+    let dense = flow::densify(&s.a, &s.b, given);
+    // The weights' differences of nearly equal luminances carry few digits.
+    let bound = Bound { absolute: 2e-4, relative: 2e-5 };
+    h.close(&s.what("dense"), got.as_flattened(), dense.as_flattened(), None, bound);
     Ok(())
 }
 
@@ -373,11 +427,7 @@ fn refine(h: &mut Harness) -> Result<()> {
     for size in SIZES {
         let s = Scene::new(h, size);
         let (n, width, height) = (s.pixels(), s.width as i32, s.height as i32);
-        let luma = [upload(h, &single(&s.a.luma))?, upload(h, &single(&s.b.luma))?];
-        let derivatives = [
-            upload(h, singles(&s.a.derivatives).as_flattened())?,
-            upload(h, singles(&s.b.derivatives).as_flattened())?,
-        ];
+        let Levels { luma, derivatives } = Levels::of(h, &s)?;
         let trust: Vec<f64> =
             (0..n).map(|_| f64::from(h.rng.random_range(0.001f32..1.0))).collect();
         let (flow, trusts) = (upload(h, &singles(&s.flow))?, upload(h, &single(&trust))?);

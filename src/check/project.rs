@@ -1,8 +1,8 @@
 //! Check cases of projection.
 
 use super::scene::{
-    Backward, Frame, UPRIGHT, compare_gradients, join, one, plain_camera, random, random_gradient,
-    skew_camera,
+    Backward, Forward, Frame, UPRIGHT, compare_gradients, join, one, plain_camera, random,
+    random_gradient, skew_camera,
 };
 use super::{Bound, Case, Harness};
 use crate::error::Result;
@@ -33,24 +33,29 @@ const HEIGHT: u32 = 59;
 /// and which tiles they overlap; within it either decision is accepted.
 const BAND: f32 = 1e-4;
 
-fn compare(harness: &mut Harness, what: &str, scene: &Gaussians, camera: &Camera) -> Result<()> {
+/// The number of tiles of each Gaussian in the oracle, with thresholds that are moved by a share of their
+/// value; 0 for one that is culled.
+fn tile_counts(scene: &Gaussians, camera: &Camera, by: f32) -> Vec<u32> {
     let settings = RenderSettings::default();
-    let device = harness.device.clone();
-    let mut frame = Frame::new(&device, &mut harness.stream, scene, camera, 1 << 15, settings)?;
-    let out = frame.forward(&mut harness.stream)?;
-    let cloud = Cloud::<f64>::new(scene);
-    let view = View::new(camera);
-    let truth = project(&cloud, &view, &settings);
-    let moved = |by: f32| RenderSettings {
+    let moved = RenderSettings {
         alpha_cut: settings.alpha_cut * (1.0 + by),
         near: settings.near * (1.0 + by),
         ..settings
     };
-    let tiles = |splats: Vec<Option<Splat<f64>>>| -> Vec<u32> {
-        splats.iter().map(|s| s.map_or(0, |s| s.tile_count)).collect()
-    };
-    let least = tiles(project(&cloud, &view, &moved(BAND)));
-    let most = tiles(project(&cloud, &view, &moved(-BAND)));
+    let splats = project(&Cloud::<f64>::new(scene), &View::new(camera), &moved);
+    splats.iter().map(|s| s.map_or(0, |s| s.tile_count)).collect()
+}
+
+/// Compares which Gaussians are drawn and how many tiles they overlap.
+fn compare_culling(
+    harness: &mut Harness,
+    what: &str,
+    scene: &Gaussians,
+    camera: &Camera,
+    out: &Forward,
+) {
+    let least = tile_counts(scene, camera, BAND);
+    let most = tile_counts(scene, camera, -BAND);
     let within = (0..scene.len()).all(|i| {
         let count = out.tile_counts[i];
         least[i] <= count && count <= most[i] && out.visible[i] == u32::from(count > 0)
@@ -58,7 +63,29 @@ fn compare(harness: &mut Harness, what: &str, scene: &Gaussians, camera: &Camera
     harness.holds(&format!("{what}: culling and tile counts"), within);
     let exactly = (0..scene.len()).filter(|&i| least[i] == most[i]).count();
     harness.holds(&format!("{what}: hardly any is undecided"), exactly * 100 >= scene.len() * 99);
+}
 
+/// How far a splat's mean may be off, pixels. Each coordinate in the camera's frame has the rounding of
+/// three products and two sums, 4e-7 of the distance; the mean has that times focal / z, and two roundings
+/// of its own.
+fn mean_limits(splat: &Splat<f64>, view: &View<f64>) -> [f64; 2] {
+    let tangent: [f64; 2] =
+        std::array::from_fn(|k| (splat.mean[k] - view.centre[k]) / view.focal[k]);
+    let slant = (1.0 + tangent[0].powi(2) + tangent[1].powi(2)).sqrt();
+    [0, 1].map(|k| {
+        let by_view = 4e-7 * view.focal[k] * slant * (1.0 + tangent[k].abs());
+        by_view + 2e-7 * splat.mean[k].abs() + 2e-7 * view.centre[k]
+    })
+}
+
+fn compare(harness: &mut Harness, what: &str, scene: &Gaussians, camera: &Camera) -> Result<()> {
+    let settings = RenderSettings::default();
+    let device = harness.device.clone();
+    let mut frame = Frame::new(&device, &mut harness.stream, scene, camera, 1 << 15, settings)?;
+    let out = frame.forward(&mut harness.stream)?;
+    compare_culling(harness, what, scene, camera, &out);
+    let view = View::new(camera);
+    let truth = project(&Cloud::<f64>::new(scene), &view, &settings);
     let single = project(&Cloud::<f32>::new(scene), &View::new(camera), &settings);
     let drawn: Vec<usize> = (0..scene.len())
         .filter(|&i| out.visible[i] != 0 && truth[i].is_some() && single[i].is_some())
@@ -66,21 +93,8 @@ fn compare(harness: &mut Harness, what: &str, scene: &Gaussians, camera: &Camera
     if scene.len() >= 60 {
         harness.holds(&format!("{what}: many are drawn"), 2 * drawn.len() > scene.len());
     }
-    // Each coordinate in the camera's frame has the rounding of three products and two sums, 4e-7
-    // of the distance; the mean has that times focal / z, and two roundings of its own.
-    let limits: Vec<f64> = drawn
-        .iter()
-        .flat_map(|&i| {
-            let splat = truth[i].as_ref().expect("drawn");
-            let tangent: [f64; 2] =
-                std::array::from_fn(|k| (splat.mean[k] - view.centre[k]) / view.focal[k]);
-            let slant = (1.0 + tangent[0].powi(2) + tangent[1].powi(2)).sqrt();
-            [0, 1].map(|k| {
-                let by_view = 4e-7 * view.focal[k] * slant * (1.0 + tangent[k].abs());
-                by_view + 2e-7 * splat.mean[k].abs() + 2e-7 * view.centre[k]
-            })
-        })
-        .collect();
+    let limits: Vec<f64> =
+        drawn.iter().flat_map(|&i| mean_limits(truth[i].as_ref().expect("drawn"), &view)).collect();
     let pairs =
         |at: &dyn Fn(usize) -> [f64; 2]| drawn.iter().flat_map(|&i| at(i)).collect::<Vec<f64>>();
     let device: Vec<f32> = drawn.iter().flat_map(|&i| [out.means[i][0], out.means[i][1]]).collect();
@@ -258,16 +272,7 @@ fn decisions(harness: &mut Harness) -> Result<()> {
         let mut frame =
             Frame::new(&device, &mut harness.stream, &scene, &camera, 1 << 15, settings)?;
         let out = frame.forward(&mut harness.stream)?;
-        let counts = |by: f32| -> Vec<u32> {
-            let moved = RenderSettings {
-                alpha_cut: settings.alpha_cut * (1.0 + by),
-                near: settings.near * (1.0 + by),
-                ..settings
-            };
-            let splats = project(&Cloud::<f64>::new(&scene), &View::new(&camera), &moved);
-            splats.iter().map(|s| s.map_or(0, |s| s.tile_count)).collect()
-        };
-        let (least, truth, most) = (counts(band), counts(0.0), counts(-band));
+        let [least, truth, most] = [band, 0.0, -band].map(|by| tile_counts(&scene, &camera, by));
         let device = &out.tile_counts;
         let decided = (0..scene.len()).all(|i| least[i] <= device[i] && device[i] <= most[i]);
         harness.holds(&format!("{what}: as the oracle outside of the band"), decided);

@@ -47,7 +47,7 @@ fn unorm8(h: &mut Harness) -> Result<()> {
     hard.extend([-1e30, 1e30, -0.0, 1e-40, 1.0 + 1e-6, -1e-6]);
     for (count, blue_first) in [(0, false), (1, true), (64, false), (1000, true), (1001, false)] {
         let rgba = pixels(h, count, &hard);
-        let buffer = h.device.upload("picture", &rgba)?;
+        let buffer = h.device.upload("image", &rgba)?;
         for background in BEHIND {
             let mut texels = h.output::<u32>("texels", count)?;
             let mut recorder = h.stream.record()?;
@@ -91,7 +91,7 @@ fn half(h: &mut Harness) -> Result<()> {
     hard.extend([1e-40, 2f32.powi(-126)]);
     for count in [0, 1, 64, 1000] {
         let rgba = pixels(h, count, &hard);
-        let buffer = h.device.upload("picture", &rgba)?;
+        let buffer = h.device.upload("image", &rgba)?;
         for background in BEHIND {
             let mut texels = h.output::<[u32; 2]>("texels", count)?;
             let mut recorder = h.stream.record()?;

@@ -135,16 +135,10 @@ pub fn run(args: &AblateArgs, common: &Common) -> Result<Answer> {
         let settings = SequenceSettings { seed, ..settings.clone() };
         say(&format!("full run{of_seed}"));
         let full = material.track(&options, &mut models)?;
-        if number == 0 {
-            let told = &full.track.quality.told;
-            sources = origins::to_json(&origins::of(
-                Given::default(),
-                &Networks::of(models.as_ref()),
-                told,
-            ));
-        }
         material.keep_masks(&full.track);
         if number == 0 {
+            let (opened, told) = (Networks::of(models.as_ref()), &full.track.quality.told);
+            sources = origins::to_json(&origins::of(Given::default(), &opened, told));
             // A device compiles its pipelines on first use, which should not count for any run.
             material.train(&full, &settings.clone().of_steps(args.steps.min(WARM_UP)))?;
         }
@@ -156,15 +150,9 @@ pub fn run(args: &AblateArgs, common: &Common) -> Result<Answer> {
             }
             say(&format!("without {name} ({place}{of_seed})"));
             let made = match component.switch {
-                Switch::Train(off) => {
-                    let mut settings = settings.clone();
-                    off(&mut settings);
-                    material.train(&full, &settings)
-                }
+                Switch::Train(off) => material.train(&full, &without(&settings, off)),
                 Switch::Track(off) => {
-                    let mut options = options.clone();
-                    off(&mut options);
-                    let tracked = material.track(&options, &mut models);
+                    let tracked = material.track(&without(&options, off), &mut models);
                     tracked.and_then(|tracked| material.train(&tracked, &settings))
                 }
             };
@@ -191,6 +179,13 @@ pub fn run(args: &AblateArgs, common: &Common) -> Result<Answer> {
         json["report"] = path_text(folder);
     }
     Ok(Answer { text: text(&found, &json), json })
+}
+
+/// Options with a component off.
+fn without<T: Clone>(options: &T, off: fn(&mut T)) -> T {
+    let mut options = options.clone();
+    off(&mut options);
+    options
 }
 
 fn empty(component: &str, without: &str) -> AblationRow {

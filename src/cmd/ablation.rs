@@ -179,7 +179,7 @@ impl<'a> Material<'a> {
             comparisons: None,
             lpips: None,
         };
-        let mut meter = Meter::new("input", "pictures", self.frames.len() as u64, 0);
+        let mut meter = Meter::new("input", "frames", self.frames.len() as u64, 0);
         let mut judged = Vec::with_capacity(self.frames.len());
         for (frame, at) in scene.cameras.iter().enumerate() {
             interrupt::check()?;

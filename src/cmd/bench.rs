@@ -39,7 +39,8 @@ roofline, render, pipeline, and the sweeps of speed against error: sweep/still, 
 sweep/scene (with --scene).
 
 With --profile rows are taken apart instead: the time of each kernel of an execution, its share, what
-the host adds, and what of the device's peaks the row's counted bytes and operations reach. Without a filter, of the pipelines.
+the host adds, and what of the device's peaks the row's counted bytes and operations reach. Without a
+filter, of the pipelines.
 
 With --scale nothing is measured but how time and memory grow: of a render and of training steps,
 against Gaussians (10 k to 5 M; 480×270 on a software driver, else 1920×1080), pixels (0.1 to 8 MP),
@@ -61,16 +62,16 @@ Examples:
   splat4d render scene.ply -o views --settings fast.json
   splat4d bench cmp before/bench.json after/bench.json
 
-JSON: format, version, commit, unix_seconds, machine {device, driver, kind, software, subgroup_size,
-threads}, peaks {bytes, operations} (per second), rows [{id, size, place, clock, accuracy
-{of_bound, error, output}, work {bytes, operations}, time (nanoseconds, or null)}], sweeps [{scene,
-gaussians, size, clock, points [{knob, value, settings, time, ratio (to the best
-settings' time, in turns), error {max, rmse, psnr}}]}], choice
-{scene, budget, measure, settings, time_ratio, error, met, views} or null, curves [{pipeline, axis,
-held, clock, accuracy, points [{size, time, foreseen, taken (bytes of device memory), left_out (why,
-or null), kernels [[name, nanoseconds]]}]}] (with --scale), missed (rows without speed), seconds. With --profile: machine, peaks, profiles [{id, size, executions, device, wall (nanoseconds),
-host_share, work {bytes, operations}, subgroup_size, kernels [{kernel, workgroup, dispatches, time, share}]}]. Of cmp: rows [{name, ratio, interval, verdict}], faster, slower, noise,
-incomparable";
+JSON: format, version, commit, unix_seconds, machine {device, driver, kind, software, subgroup_size, threads},
+peaks {bytes, operations} (per second), rows [{id, size, place, clock, accuracy {of_bound, error, output},
+work {bytes, operations}, time (nanoseconds, or null)}], sweeps [{scene, gaussians, size, clock, points
+[{knob, value, settings, time, ratio (to the best settings' time, in turns), error {max, rmse, psnr}}]}],
+choice {scene, budget, measure, settings, time_ratio, error, met, views} or null, curves [{pipeline, axis,
+held, clock, accuracy, points [{size, time, foreseen, taken (bytes of device memory), left_out (why, or null),
+kernels [[name, nanoseconds]]}]}] (with --scale), missed (rows without speed), seconds. With --profile:
+machine, peaks, profiles [{id, size, executions, device, wall (nanoseconds), host_share, work {bytes,
+operations}, subgroup_size, kernels [{kernel, workgroup, dispatches, time, share}]}]. Of cmp: rows [{name,
+ratio, interval, verdict}], faster, slower, noise, incomparable";
 
 /// Measure every operation and pipeline, and the accuracy cost of each speed-up
 #[derive(Args)]

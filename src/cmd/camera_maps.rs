@@ -46,7 +46,7 @@ pub fn section(body: &mut String, track: &Track, poses: &[Pose], unit: &str) {
     maps(body, &cameras, unit, "static points");
     body.push_str(
         "<p>The line is the camera's path from its first frame (disc) to its last (square); \
-         triangles are what it sees from some of them. Up is the mean upward direction of the pictures. Of \
+         triangles are what it sees from some of them. Up is the mean upward direction of the images. Of \
          the points, those within the middle nine tenths along each axis are shown.</p>\n",
     );
 }

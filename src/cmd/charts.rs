@@ -116,79 +116,33 @@ pub struct Map<'a> {
     pub points: &'a [[f64; 2]],
 }
 
+/// Height of a map.
+const SIDE: f64 = 340.0;
+
 /// A map of cameras and points on a plane, with the same scale on both axes.
 pub fn map(map: &Map) -> String {
-    const SIDE: f64 = 340.0;
-    let plot = (LEFT, TOP, WIDTH - RIGHT, SIDE - BOTTOM);
-    let all = || map.cameras.iter().map(|c| c.at).chain(map.points.iter().copied());
-    let bounds = |axis: usize| {
-        let ends = all()
-            .map(|p| p[axis])
-            .fold((f64::MAX, f64::MIN), |(low, high), v| (low.min(v), high.max(v)));
-        if ends.0 <= ends.1 { ends } else { (-1.0, 1.0) }
-    };
-    let (across, up) = (bounds(0), bounds(1));
-    let (wide, high) = (plot.2 - plot.0, plot.3 - plot.1);
-    let room = 1.15;
-    let scale = (wide / (across.1 - across.0).max(1e-9)).min(high / (up.1 - up.0).max(1e-9)) / room;
-    // Cameras that coincide up to rounding still get a map of finite extent.
-    let scale = scale.min(wide / (1e-6 * (1.0 + across.1.abs() + up.1.abs())));
-    let middle = |(low, high): (f64, f64)| 0.5 * (low + high);
-    let x = |v: f64| 0.5 * (plot.0 + plot.2) + scale * (v - middle(across));
-    let y = |v: f64| 0.5 * (plot.1 + plot.3) - scale * (v - middle(up));
+    let place = Placement::of(map);
     let mut svg = open(map.title, SIDE);
-    let shown = |axis: (f64, f64), length: f64| {
-        let half = 0.5 * length / scale;
-        ticks(middle(axis) - half, middle(axis) + half, 5)
-            .into_iter()
-            .filter(move |t| (t - middle(axis)).abs() <= half)
-    };
-    for tick in shown(across, wide) {
-        line(&mut svg, "grid", (x(tick), plot.1), (x(tick), plot.3));
-        text(&mut svg, (x(tick), plot.3 + 15.0), "middle", &number(tick, wide / scale));
-    }
-    for tick in shown(up, high) {
-        line(&mut svg, "grid", (plot.0, y(tick)), (plot.2, y(tick)));
-        text(&mut svg, (plot.0 - 6.0, y(tick) + 4.0), "end", &number(tick, high / scale));
-    }
-    text(&mut svg, (0.5 * (plot.0 + plot.2), SIDE - 5.0), "middle", map.axes[0]);
-    text(&mut svg, (4.0, 14.0), "start", map.axes[1]);
+    place.draw_grid(&mut svg, map.axes);
     let mut cloud = String::new();
     for point in map.points {
-        let _ = write!(cloud, "M{:.1} {:.1}h0", x(point[0]), y(point[1]));
+        let (x, y) = place.at(*point);
+        let _ = write!(cloud, "M{x:.1} {y:.1}h0");
     }
     let _ = write!(svg, "<path class=\"cloud\" d=\"{cloud}\"/>");
     // Frusta of a subset of the cameras, because those of a long clip would overlap.
     let every = map.cameras.len().div_ceil(24).max(1);
-    let mut views = String::new();
-    for camera in map.cameras.iter().step_by(every) {
-        let [dx, dy] = camera.looks.map(|v| FRUSTUM * v);
-        // A camera that looks up or down on the map is drawn with its full width but less depth.
-        let length = dx.hypot(dy).max(1e-9);
-        let (px, py) = (-dy / length, dx / length);
-        let half = FRUSTUM * camera.spread.min(1.5);
-        let corner = |side: f64| (dx + side * half * px, -(dy + side * half * py));
-        let (left, right) = (corner(1.0), corner(-1.0));
-        let _ = write!(
-            views,
-            "M{:.1} {:.1}l{:.1} {:.1}l{:.1} {:.1}z",
-            x(camera.at[0]),
-            y(camera.at[1]),
-            left.0,
-            left.1,
-            right.0 - left.0,
-            right.1 - left.1
-        );
-    }
+    let views: String = map.cameras.iter().step_by(every).map(|c| place.frustum(c)).collect();
     let _ = write!(svg, "<path class=\"view\" d=\"{views}\"/>");
     let mut path = String::new();
     for (i, camera) in map.cameras.iter().enumerate() {
         let command = if i == 0 { 'M' } else { 'L' };
-        let _ = write!(path, "{command}{:.1} {:.1}", x(camera.at[0]), y(camera.at[1]));
+        let (x, y) = place.at(camera.at);
+        let _ = write!(path, "{command}{x:.1} {y:.1}");
     }
     let _ = write!(svg, "<path class=\"a\" d=\"{path}\"/>");
     for camera in map.cameras.iter().filter(|camera| camera.doubtful) {
-        let (x, y) = (x(camera.at[0]), y(camera.at[1]));
+        let (x, y) = place.at(camera.at);
         let (left, right, top, low) = (x - 4.0, x + 4.0, y - 4.0, y + 4.0);
         let _ = write!(
             svg,
@@ -197,9 +151,100 @@ pub fn map(map: &Map) -> String {
         );
     }
     if let (Some(first), Some(last)) = (map.cameras.first(), map.cameras.last()) {
+        place.draw_ends(&mut svg, first, last);
+    }
+    svg + "</svg>"
+}
+
+/// Where the points of a map lie in its drawing.
+struct Placement {
+    /// Left, upper, right and lower edge of the plot.
+    plot: (f64, f64, f64, f64),
+    /// The point of the map in the middle of the plot.
+    middle: [f64; 2],
+    /// Units of the drawing per unit of the map.
+    scale: f64,
+}
+
+impl Placement {
+    /// The placement in which all cameras and points are seen.
+    fn of(map: &Map) -> Placement {
+        let plot = (LEFT, TOP, WIDTH - RIGHT, SIDE - BOTTOM);
+        let all = || map.cameras.iter().map(|c| c.at).chain(map.points.iter().copied());
+        let bounds = |axis: usize| {
+            let ends = all()
+                .map(|p| p[axis])
+                .fold((f64::MAX, f64::MIN), |(low, high), v| (low.min(v), high.max(v)));
+            if ends.0 <= ends.1 { ends } else { (-1.0, 1.0) }
+        };
+        let (across, up) = (bounds(0), bounds(1));
+        let (wide, high) = (plot.2 - plot.0, plot.3 - plot.1);
+        let room = 1.15;
+        let scale =
+            (wide / (across.1 - across.0).max(1e-9)).min(high / (up.1 - up.0).max(1e-9)) / room;
+        // Cameras that coincide up to rounding still get a map of finite extent.
+        let scale = scale.min(wide / (1e-6 * (1.0 + across.1.abs() + up.1.abs())));
+        let middle = [across, up].map(|(low, high)| 0.5 * (low + high));
+        Placement { plot, middle, scale }
+    }
+
+    /// The place of a point, in the units of the drawing.
+    fn at(&self, [across, up]: [f64; 2]) -> (f64, f64) {
+        let (left, top, right, low) = self.plot;
+        (
+            0.5 * (left + right) + self.scale * (across - self.middle[0]),
+            0.5 * (top + low) - self.scale * (up - self.middle[1]),
+        )
+    }
+
+    /// Draws grid lines and labels of both axes.
+    fn draw_grid(&self, svg: &mut String, axes: [&str; 2]) {
+        let (left, top, right, low) = self.plot;
+        let (wide, high) = ((right - left) / self.scale, (low - top) / self.scale);
+        let shown = |middle: f64, length: f64| {
+            let half = 0.5 * length;
+            let ticks = ticks(middle - half, middle + half, 5).into_iter();
+            ticks.filter(move |t| (t - middle).abs() <= half)
+        };
+        for tick in shown(self.middle[0], wide) {
+            let (x, _) = self.at([tick, 0.0]);
+            line(svg, "grid", (x, top), (x, low));
+            text(svg, (x, low + 15.0), "middle", &number(tick, wide));
+        }
+        for tick in shown(self.middle[1], high) {
+            let (_, y) = self.at([0.0, tick]);
+            line(svg, "grid", (left, y), (right, y));
+            text(svg, (left - 6.0, y + 4.0), "end", &number(tick, high));
+        }
+        text(svg, (0.5 * (left + right), SIDE - 5.0), "middle", axes[0]);
+        text(svg, (4.0, 14.0), "start", axes[1]);
+    }
+
+    /// The outline of a camera's frustum, as commands of a path.
+    fn frustum(&self, camera: &Placed) -> String {
+        let [dx, dy] = camera.looks.map(|v| FRUSTUM * v);
+        // A camera that looks up or down on the map is drawn with its full width but less depth.
+        let length = dx.hypot(dy).max(1e-9);
+        let (px, py) = (-dy / length, dx / length);
+        let half = FRUSTUM * camera.spread.min(1.5);
+        let corner = |side: f64| (dx + side * half * px, -(dy + side * half * py));
+        let (left, right) = (corner(1.0), corner(-1.0));
+        let (x, y) = self.at(camera.at);
+        format!(
+            "M{x:.1} {y:.1}l{:.1} {:.1}l{:.1} {:.1}z",
+            left.0,
+            left.1,
+            right.0 - left.0,
+            right.1 - left.1
+        )
+    }
+
+    /// Marks and labels the first and the last camera.
+    fn draw_ends(&self, svg: &mut String, first: &Placed, last: &Placed) {
         // The labels point away from each other, because the two positions may be close: left and right,
         // or above and below where the labels of the vertical axis leave no room.
-        let beside = x(first.at[0].min(last.at[0])) - plot.0 > 7.0 + DIGIT * "first".len() as f64;
+        let (leftmost, _) = self.at([first.at[0].min(last.at[0]), 0.0]);
+        let beside = leftmost - self.plot.0 > 7.0 + DIGIT * "first".len() as f64;
         let (mut sides, swapped) = match beside {
             true => ([("end", (-7.0, 4.0)), ("start", (7.0, 4.0))], first.at[0] > last.at[0]),
             false => ([("middle", (0.0, -7.0)), ("middle", (0.0, 15.0))], first.at[1] < last.at[1]),
@@ -209,12 +254,11 @@ pub fn map(map: &Map) -> String {
         }
         let ends = [(first, "a", "first"), (last, "b", "last")];
         for ((camera, class, name), (anchor, aside)) in ends.into_iter().zip(sides) {
-            let at = (x(camera.at[0]), y(camera.at[1]));
-            mark(&mut svg, class, at);
-            text(&mut svg, (at.0 + aside.0, at.1 + aside.1), anchor, name);
+            let at = self.at(camera.at);
+            mark(svg, class, at);
+            text(svg, (at.0 + aside.0, at.1 + aside.1), anchor, name);
         }
     }
-    svg + "</svg>"
 }
 
 fn open(title: &str, height: f64) -> String {

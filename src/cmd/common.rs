@@ -117,13 +117,18 @@ pub fn notes(lines: &[String]) {
     lines.iter().for_each(|line| say(&format!("note: {line}")));
 }
 
-/// The note about a training with non-finite gradients.
-pub fn broken_gradients(trained: &Value) -> Option<String> {
-    let count = trained["broken_gradients"].as_u64().filter(|count| *count > 0)?;
-    Some(format!(
+/// Shows a note about a training with non-finite gradients, and adds it to `all`.
+pub fn note_broken_gradients(trained: &Value, all: &mut Vec<String>) {
+    let count = trained["broken_gradients"].as_u64().unwrap_or(0);
+    if count == 0 {
+        return;
+    }
+    let note = format!(
         "{count} gradients were not a number or infinite and were left out; look for cameras that do not \
-         fit their pictures, or check the driver with `splat4d validate`"
-    ))
+         fit their images, or check the driver with `splat4d validate`"
+    );
+    notes(std::slice::from_ref(&note));
+    all.push(note);
 }
 
 /// A path as a JSON string; invalid Unicode is replaced.

@@ -99,7 +99,7 @@ pub fn told(compact: &Value) -> String {
             }
             text.push('\n');
         }
-        _ => text += "the scene knows no cameras to compare pictures from\n",
+        _ => text += "the scene knows no cameras to compare images from\n",
     }
     text
 }

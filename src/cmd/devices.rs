@@ -21,7 +21,7 @@ const PICTURES: usize = 100;
 
 const AFTER_HELP: &str = "\
 The largest scene is what the free memory and the largest binding allow: still, with harmonics of
-degree 3, rendered at 1920×1080, or trained on a hundred pictures of that size, with room for four
+degree 3, rendered at 1920×1080, or trained on a hundred images of that size, with room for four
 tiles per Gaussian. Devices below Vulkan 1.3 come last; --device does not find them.
 
 Example:

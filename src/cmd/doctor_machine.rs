@@ -208,7 +208,7 @@ pub fn ffmpeg(findings: &mut Findings) -> Value {
         ),
         (None, ..) => findings.note(
             "ffmpeg",
-            "not found: videos can be neither read nor written; folders of pictures can",
+            "not found: videos can be neither read nor written; folders of images can",
             INSTALL,
         ),
     }

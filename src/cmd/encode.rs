@@ -47,7 +47,7 @@ fn run(command: &mut Command, output: &Path) -> Result<()> {
     let mut child = command.spawn().map_err(|error| match error.kind() {
         ErrorKind::NotFound => Error::Input(format!(
             "{}: writing a video needs the program ffmpeg, which was not found. Install it \
-             (Debian, Ubuntu: apt-get install ffmpeg), or name a folder to get pictures",
+             (Debian, Ubuntu: apt-get install ffmpeg), or name a folder to get images",
             output.display()
         )),
         _ => Error::Failed(format!("{}: ffmpeg cannot be started: {error}", output.display())),

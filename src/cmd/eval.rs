@@ -33,9 +33,9 @@ use super::{eval_first, eval_tracks, eval_truth};
 const AFTER_HELP: &str = "\
 REFERENCE decides what is measured:
   a dataset (as for `train`)     the scene, rendered from the dataset's cameras, against its
-                                 pictures: those of its test split, or of --eval-every, or all
+                                 images: those of its test split, or of --eval-every, or all
   the truth folder of a clip     (from `synth`) the scene's cameras against the true ones, its depth
-                                 and motion masks, and pictures of held-out cameras, after aligning
+                                 and motion masks, and images of held-out cameras, after aligning
                                  by a similarity: rotation from the cameras' orientations, scale
                                  and translation from their centres
   a folder of v000_t003.png …    what the scene's first camera sees at the times of other frames
@@ -59,12 +59,12 @@ Examples:
 JSON: psnr, ssim, ms_ssim, lpips (by --lpips FILE, else null: no network weights come along), lpips_net (its
 features, as the file names them: figures of different nets do not compare), per_frame [{name, psnr, ssim,
 ms_ssim, lpips}], psnr_covisible, ssim_covisible (of a dataset with masks of what the training
-pictures saw as well, DyCheck's: over those pixels, SSIM as the mean of its map there), ate_rmse,
+images saw as well, DyCheck's: over those pixels, SSIM as the mean of its map there), ate_rmse,
 ate_relative (to the length of the camera's path), rpe_trans_rmse, rpe_rot_deg_rmse, scale, poses,
 focal_error (relative), depth_rel_median, mask_iou;
-scale_by: what told the scale between a scene and its truth: centres (of the cameras), or of a camera that stood
-still depth (the truth's), or pictures (no depth is there: the scale, one number, from which the scene looks most
-like held-out pictures; these figures are flattered by as much);
+scale_by: what told the scale between a scene and its truth: centres (of the cameras), or of a camera that
+stood still depth (the truth's), or pictures (no depth is there: the scale, one number, from which the scene
+looks most like held-out images; these figures are flattered by as much);
 ape_trans, ape_rot_deg, rpe_trans, rpe_rot_deg: of a trajectory the errors of centres (in the reference's
 unit) and rotations (degrees), absolute and relative, each {rmse, mean, median, std, min, max, sse};
 rpe_pairs: the pairs of poses that the relative ones compare (--rpe-delta; they are null without any).
@@ -73,17 +73,17 @@ stands still);
 tracks: {all, movers, static}, each {average_jaccard, position_accuracy, within (shares within 1, 2, 4, 8 and
 16 pixels of 256×256), occlusion_accuracy, points}; the latter two by `masks` beside the reference, null
 without;
-psnr_own_focal, ssim_own_focal, ms_ssim_own_focal: the same pictures of a clip's held-out cameras, but
+psnr_own_focal, ssim_own_focal, ms_ssim_own_focal: the same images of a clip's held-out cameras, but
 with their focal length multiplied by the scene's own error in it, which hides that error.
-held_out: pictures that no input camera took, 8-bit as a file holds them, one row for each distance (a
+held_out: images that no input camera took, 8-bit as a file holds them, one row for each distance (a
 folder of held-out cameras, or first_camera) and one for all: {distance, pictures, psnr, ssim, ms_ssim,
 worst (PSNR), worst_picture, movers, outside_movers, covisible, static_covisible, not_filmed_share}. The
 four regions are {psnr, ssim, worst, worst_picture, pictures}: what moves (held_out/masks/K), the rest,
 the pixels whose static point some input frame saw (held_out/covisible/K), and those of them that do not
 move. A region's PSNR is that of its pixels, its SSIM the mean of the map there; both are means over the
-pictures in which it holds at least 0.1 % of the pixels, so that each picture counts alike.
-held_out_fitted: the same with each pose fitted to its picture (--fit-poses): least squared error over
-the static covisible pixels, or all where masks are missing. Poses fitted to test pictures flatter.
+images in which it holds at least 0.1 % of the pixels, so that each image counts alike.
+held_out_fitted: the same with each pose fitted to its image (--fit-poses): least squared error over
+the static covisible pixels, or all where masks are missing. Poses fitted to test images flatter.
 What does not apply is null; so is an infinite PSNR.";
 
 /// Number of a dataset's images in memory at a time.
@@ -339,7 +339,7 @@ fn pictures(
     let comparisons = args.comparisons(&names, &Vec::from_iter(folders))?;
     let device = common.open_device()?;
     let mut renderer = Renderer::new(&device, &scene)?;
-    let mut meter = Meter::new("measuring", "pictures", chosen.len() as u64, 0);
+    let mut meter = Meter::new("measuring", "images", chosen.len() as u64, 0);
     let (mut per_frame, mut covisible) = (Vec::with_capacity(chosen.len()), Vec::new());
     // Frames of a video are decoded together.
     for indices in chosen.chunks(AT_A_TIME) {
@@ -398,7 +398,7 @@ fn trajectories(args: &EvalArgs) -> Result<Map<String, Value>> {
     let reference = trajectory::open(&args.reference, None).map_err(|error| match error {
         Error::Format { path, what } => {
             let hint = "a reference is a dataset, a clip's truth folder or a trajectory (TUM, KITTI, \
-                        EuRoC, .cam); a video or picture has no known cameras to compare with";
+                        EuRoC, .cam); a video or image has no known cameras to compare with";
             Error::Format { path, what: format!("{what}; {hint}") }
         }
         other => other,

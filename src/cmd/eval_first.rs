@@ -60,7 +60,7 @@ pub fn measure(
         comparisons: comparisons.as_ref(),
         lpips,
     };
-    let mut meter = Meter::new("first camera", "pictures", pictures.len() as u64, 0);
+    let mut meter = Meter::new("first camera", "images", pictures.len() as u64, 0);
     let mut judged = Vec::with_capacity(pictures.len());
     for (index, (file, at)) in pictures.iter().enumerate() {
         interrupt::check()?;
@@ -116,11 +116,11 @@ fn pictures<'a>(scene: &'a Scene, folder: &Path) -> Result<Vec<(PathBuf, &'a Sce
         }
     }
     if found.is_empty() {
-        let what = "holds no picture whose number is that of a frame of the scene, after the first";
+        let what = "holds no image whose number is that of a frame of the scene, after the first";
         return Err(Error::format(folder, what));
     }
     if absent > 0 {
-        say(&format!("note: the scene has no frame for {absent} of the pictures"));
+        say(&format!("note: the scene has no frame for {absent} of the images"));
     }
     Ok(found)
 }
@@ -144,7 +144,7 @@ fn seen_as(k: &Intrinsics, file: &Path) -> Result<Intrinsics> {
     if (ours / theirs - 1.0).abs() > PROPORTIONS {
         let what = format!(
             "is {width}×{height}, the scene's first camera {}×{}: other proportions, so that it is not \
-             the same picture at another size",
+             the same image at another size",
             k.width, k.height
         );
         return Err(Error::format(file, what));

@@ -52,7 +52,7 @@ pub fn by_pictures(
     let aside = median(sights.iter().map(|sight| sight.aside).filter(|aside| *aside > 0.0));
     let Some((depth, aside)) = depth.zip(aside) else { return Ok(None) };
     say(
-        "note: the camera stood still; the scale is the one at which the scene looks most like held-out pictures",
+        "note: the camera stood still; the scale is the one at which the scene looks most like held-out images",
     );
     let scale = |ratio: f64| aside / (ratio * depth);
     let error = |ratio: f64| -> Result<f64> {

@@ -263,7 +263,7 @@ impl HeldOut<'_> {
         scene_from_truth: &Sim3,
         focal_ratio: f64,
     ) -> Result<Map<String, Value>> {
-        let mut meter = Meter::new("novel views", "pictures", self.set.frames.len() as u64, 0);
+        let mut meter = Meter::new("novel views", "images", self.set.frames.len() as u64, 0);
         let (mut judged, mut own_focal) = (Vec::new(), Vec::new());
         for (index, frame) in self.set.frames.iter().enumerate() {
             interrupt::check()?;
@@ -320,7 +320,7 @@ impl HeldOut<'_> {
             let (width, height) = (view.image.width, view.image.height);
             if (mask.width, mask.height) != (width, height) {
                 let what = format!(
-                    "is {}×{}, its picture {width}×{height}; give masks of the pictures' size",
+                    "is {}×{}, its image {width}×{height}; give masks of the images' size",
                     mask.width, mask.height
                 );
                 return Err(Error::format(file, what));

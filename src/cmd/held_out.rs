@@ -268,15 +268,15 @@ fn worst(of: impl Iterator<Item = (String, f64)>) -> (Option<f64>, Option<String
 pub fn table(found: &Value) -> String {
     let mut text = String::new();
     for (key, title) in
-        [("held_out", "held out"), ("held_out_fitted", "held out, each pose fitted to its picture")]
+        [("held_out", "held out"), ("held_out_fitted", "held out, each pose fitted to its image")]
     {
         let Some(rows) = found[key].as_array().filter(|rows| !rows.is_empty()) else { continue };
         let _ = writeln!(
             text,
-            "{title}: PSNR in dB (of the worst picture)\n\
+            "{title}: PSNR in dB (of the worst image)\n\
              {:14}{:>8}{:>15}{:>8}{:>9}{:>8}{:>16}{:>16}{:>16}{:>12}",
             "distance",
-            "pictures",
+            "images",
             "whole",
             "SSIM",
             "MS-SSIM",
@@ -342,7 +342,7 @@ impl Comparisons {
         Outputs::default().folder(folder, &["0.png"])?;
         for file in &files {
             if file.is_dir() {
-                return Err(Error::format(file, "is a folder, where a picture is to be written"));
+                return Err(Error::format(file, "is a folder, where an image is to be written"));
             }
             inputs.spared_by(file)?;
         }

@@ -285,6 +285,13 @@ pub fn focal_source(source: FocalSource) -> &'static str {
     }
 }
 
+/// The intrinsics of a clip and where they are from, for reports.
+pub fn intrinsics_json(track: &Track) -> Value {
+    let mut json = intrinsics::to_json(&track.intrinsics);
+    json["source"] = json!(focal_source(track.quality.focal_source));
+    json
+}
+
 /// Uncertainty of the cameras, for reports.
 pub fn poses_json(found: &Quality) -> Value {
     json!({

@@ -164,7 +164,7 @@ fn known(mut flow: Image) -> Image {
 /// Checks that a path has enough images for every layer.
 pub fn check(what: &[Layer], pictures: usize) -> Result<()> {
     if what.contains(&Layer::Flow) && pictures < 2 {
-        let text = "--what flow is the motion to the next picture, and the path has only one; give more \
+        let text = "--what flow is the motion to the next image, and the path has only one; give more \
                     --frames or --times";
         return Err(Error::Input(text.into()));
     }

@@ -80,10 +80,10 @@ mod view;
 mod watcher;
 
 use std::ffi::OsString;
-use std::io::Write;
+use std::io::{IsTerminal, Write, stderr, stdin, stdout};
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use common::{Answer, Common};
 use serde_json::json;
 use splat4d::{Error, Result};
@@ -129,9 +129,24 @@ enum Command {
     View(view::ViewArgs),
 }
 
+/// Columns of the help where neither a terminal nor `COLUMNS` gives a width: as many as the lines of its
+/// texts have at most, so that none is broken again.
+const HELP_WIDTH: usize = 110;
+
+/// The process's command line.
+fn parse() -> std::result::Result<Cli, clap::Error> {
+    let terminals = [stdin().is_terminal(), stdout().is_terminal(), stderr().is_terminal()];
+    let mut command = Cli::command();
+    if std::env::var_os("COLUMNS").is_none() && !terminals.contains(&true) {
+        command = command.term_width(HELP_WIDTH);
+    }
+    let matches = command.try_get_matches_from_mut(std::env::args_os())?;
+    Cli::from_arg_matches(&matches).map_err(|error| error.format(&mut command))
+}
+
 /// Runs the command on the process's command line.
 pub fn main() -> ExitCode {
-    let cli = match Cli::try_parse() {
+    let cli = match parse() {
         Ok(cli) => cli,
         Err(error) => return explain(&error),
     };
@@ -249,7 +264,6 @@ fn print(answer: &Answer, json: bool) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use clap::CommandFactory;
     use clap::error::ErrorKind;
     use std::any::TypeId;
     use std::path::PathBuf;
@@ -257,6 +271,22 @@ mod tests {
     #[test]
     fn the_declarations_hold_together() {
         Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn no_line_of_a_help_text_is_broken_again() {
+        fn walk(command: &clap::Command, seen: &mut usize) {
+            let text = command.get_after_help().map(ToString::to_string).unwrap_or_default();
+            for line in text.lines() {
+                *seen += 1;
+                let width = line.chars().count();
+                assert!(width <= HELP_WIDTH, "{}, {width} columns: {line}", command.get_name());
+            }
+            command.get_subcommands().for_each(|command| walk(command, seen));
+        }
+        let mut seen = 0;
+        walk(&Cli::command(), &mut seen);
+        assert!(seen > 300, "{seen} lines were found");
     }
 
     /// Option values that are invalid for every command.

@@ -185,7 +185,7 @@ fn tracks(given: Given) -> Origin {
     const WHAT: &str = "tracks";
     match given.tracks {
         true => Origin::supplied(WHAT, "--tracks", "beside chained flow"),
-        false => Origin::built_in(WHAT, "chained flow, found again in the pictures"),
+        false => Origin::built_in(WHAT, "chained flow, found again in the frames"),
     }
 }
 

@@ -109,7 +109,7 @@ pub fn address(image: &Image) -> Result<String> {
     let mut jpeg = Vec::new();
     JpegEncoder::new_with_quality(&mut jpeg, QUALITY)
         .write_image(&bytes, image.width, image.height, ExtendedColorType::Rgb8)
-        .map_err(|error| Error::Failed(format!("a picture could not be encoded: {error}")))?;
+        .map_err(|error| Error::Failed(format!("an image could not be encoded: {error}")))?;
     Ok(format!("data:image/jpeg;base64,{}", STANDARD.encode(jpeg)))
 }
 

@@ -86,30 +86,30 @@ impl Protocol {
     /// The protocol in words, with the choices, for a number of scenes.
     pub fn caption(self, choices: &Choices, scenes: usize) -> Vec<String> {
         let size = match choices.size {
-            Some(size) => format!("Pictures have {size} pixels on their longer side."),
-            None => "Pictures are of the size that the quality preset or the set gives.".into(),
+            Some(size) => format!("Images have {size} pixels on their longer side."),
+            None => "Images are of the size that the quality preset or the set gives.".into(),
         };
         let rule = match self {
             Protocol::Nvidia => {
                 "Trained on the frames of a moving camera; tested with what the first camera sees at \
                  the other times, from that frame's own pose and focal length, nothing aligned or \
-                 fitted. PSNR, SSIM and MS-SSIM are means over the test pictures, of 8 bits."
+                 fitted. PSNR, SSIM and MS-SSIM are means over the test images, of 8 bits."
             }
             Protocol::Dnerf => {
                 "Trained on the train split with the given poses; tested on the test split. PSNR, SSIM \
-                 and MS-SSIM are means over the test pictures, unrounded."
+                 and MS-SSIM are means over the test images, unrounded."
             }
             Protocol::HypernerfVrig | Protocol::Dycheck => {
-                "Trained on the training pictures without their poses; tested with the set's test \
-                 pictures, from its cameras brought to the scene by a similarity: rotation from the \
+                "Trained on the training images without their poses; tested with the set's test \
+                 images, from its cameras brought to the scene by a similarity: rotation from the \
                  training cameras' orientations, scale and translation from their centres. PSNR, SSIM and \
-                 MS-SSIM are means over the test pictures, of 8 bits."
+                 MS-SSIM are means over the test images, of 8 bits."
             }
             Protocol::DynerfMono => {
                 "Trained on one camera's video without its pose; tested with what other cameras saw at \
                  the same times, from their calibrated places beside it. A camera that stands still does not \
-                 tell the scale: that one number is fitted to test pictures of each scene, nothing else. \
-                 PSNR, SSIM and MS-SSIM are means over the test pictures, of 8 bits."
+                 tell the scale: that one number is fitted to test images of each scene, nothing else. \
+                 PSNR, SSIM and MS-SSIM are means over the test images, of 8 bits."
             }
             Protocol::SintelPose => {
                 "Intrinsics and poses unknown, all frames of the final pass. ATE: root mean square of \
@@ -141,14 +141,14 @@ impl Protocol {
         }
         if self == Protocol::Dycheck {
             lines.push(
-                "The columns `covisible` are of the pixels that training pictures saw as well, as the \
+                "The columns `covisible` are of the pixels that training images saw as well, as the \
                  set's masks say."
                     .into(),
             );
         }
         if choices.fit_poses {
             lines.push(
-                "The columns `fitted` are of test poses that were fitted to the test pictures."
+                "The columns `fitted` are of test poses that were fitted to the test images."
                     .into(),
             );
         }
@@ -267,7 +267,7 @@ impl Protocol {
     /// Required contents of a scene's folder.
     fn needs(self) -> &'static str {
         match self {
-            Protocol::Nvidia => "a folder of frames and one of pictures named v000_t001.png, …",
+            Protocol::Nvidia => "a folder of frames and one of images named v000_t001.png, …",
             Protocol::Dnerf => "transforms_train.json and transforms_test.json",
             Protocol::HypernerfVrig | Protocol::Dycheck => "scene.json, dataset.json and camera/",
             Protocol::DynerfMono => "poses_bounds.npy and cam00.mp4, … or cam00/images, …",

@@ -76,7 +76,7 @@ pub fn measure(
     background: [f32; 3],
     what: &'static str,
 ) -> Result<Vec<Quality>> {
-    let mut meter = Meter::new(what, "pictures", views.len() as u64, 0);
+    let mut meter = Meter::new(what, "images", views.len() as u64, 0);
     let mut found = Vec::with_capacity(views.len());
     for view in views {
         interrupt::check()?;

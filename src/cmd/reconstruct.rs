@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 use serde_json::{Value, json};
-use splat4d::data::{View, intrinsics};
+use splat4d::data::View;
 use splat4d::gpu::{Device, DeviceKind};
 use splat4d::io::{Identity, check_memory, checksum};
 use splat4d::observe::{EngineFlow, SuppliedFlow};
@@ -23,11 +23,13 @@ use super::checkpoints::{self, CheckpointArgs, Checkpoints, shown, summed};
 use super::clip::{ClipArgs, shots_json};
 use super::clock::Clock;
 use super::common::{
-    Answer, Common, broken_gradients, bytes, foresee, most_pairs, notes, path_text, say, thousands,
+    Answer, Common, bytes, foresee, most_pairs, note_broken_gradients, notes, path_text, say,
+    thousands,
 };
 use super::info::dynamic_share;
 use super::known::{
-    CAMERA_FILES, KnownArgs, focal_source, lens_json, observe, poses_json, write_cameras,
+    CAMERA_FILES, KnownArgs, focal_source, intrinsics_json, lens_json, observe, poses_json,
+    write_cameras,
 };
 use super::live::{Foreseen, LiveArgs, name_of};
 use super::networks::{estimate_depth, estimate_pointmaps};
@@ -36,7 +38,7 @@ use super::outputs::{Inputs, Outputs};
 use super::reconstruct_page::Page;
 use super::run_page::{self, Run};
 use super::tracker::Tracker;
-use super::watcher::{Kept, Watched, Watcher};
+use super::watcher::{Kept, Watcher};
 use super::{model, quality, reconstruct_pictures, sheet, values};
 
 /// Host memory per pixel and frame, bytes: of the frames themselves, and of the results of tracking, which
@@ -47,9 +49,9 @@ const TRACK_BYTES: u64 = 72;
 
 const AFTER_HELP: &str = "\
 The clip is a moving camera's: a video file (read through ffmpeg), a folder of frames in the order of
-their names, or a dataset as `train` takes it (its pictures to train on, by time) or of one clip of
+their names, or a dataset as `train` takes it (its training images, by time) or of one clip of
 DAVIS. Of a clip with cuts one shot is taken, the longest unless --shot says another;
---every and --max-frames count within it. A camera that stands still is recognised; then its pictures
+--every and --max-frames count within it. A camera that stands still is recognised; then its frames
 give no depth by themselves, and new views stay close to the old ones.
 
 Examples:
@@ -61,24 +63,23 @@ Examples:
 With --view only this machine reaches the page; with --host the machines that reach that address do, too, and
 the page's address then holds a random token. The page changes nothing of the scene that comes out.
 
-JSON: psnr_input, ssim_input, gaussians, control_points,
-control_points_added and control_points_removed (in training), windows (into which the clip was cut, so that
-what moves has Gaussians of its own in each; null where nothing moves), broken_gradients (values that were not
-a number or infinite and were left out), dynamic_share (of the pixels),
-dynamic_gaussians (share), intrinsics {fx, fy, cx, cy, width, height, source (given,
-measured, assumed)}, lens (by which the frames were undistorted: {k1, fx, fy, cx, cy, width, height};
+JSON: psnr_input, ssim_input, gaussians, control_points, control_points_added and control_points_removed (in
+training), windows (into which the clip was cut, so that what moves has Gaussians of its own in each; null
+where nothing moves), broken_gradients (values that were not a number or infinite and were left out),
+dynamic_share (of the pixels), dynamic_gaussians (share), intrinsics {fx, fy, cx, cy, width, height, source
+(given, measured, assumed)}, lens (by which the frames were undistorted: {k1, fx, fy, cx, cy, width, height};
 null of a pinhole), poses {tripod, turns, inlier_share, reprojection_rms, parallax_deg, focal_std,
-doubtful_frames, tracks, motions (that the static world was chosen from, where that was in doubt:
-[{explained, hidden, hides}]), static_motion (the one taken, or null)}, exposure (per frame, by what
-red, green and blue were multiplied, 0.055 added to the encoded values; null where it does not
-change), frames, frame_names, shot (the one taken, or null), shots ([first, last] frame of each,
-in the whole clip; empty where no cut was found), quality, model [{what, chosen, because, saves}] (each choice, the measurement that decided and what it saves),
-sources (of cameras, flow, depth, masks, pointmaps, features and tracks: {source (built_in, network, supplied,
-none), from (the network's file or the option), how}), notes, device, predicted_bytes (of device
+doubtful_frames, tracks, motions (that the static world was chosen from, where that was in doubt: [{explained,
+hidden, hides}]), static_motion (the one taken, or null)}, exposure (per frame, by what red, green and blue
+were multiplied, 0.055 added to the encoded values; null where it does not change), frames, frame_names, shot
+(the one taken, or null), shots ([first, last] frame of each, in the whole clip; empty where no cut was
+found), quality, model [{what, chosen, because, saves}] (each choice, the measurement that decided and what it
+saves), sources (of cameras, flow, depth, masks, pointmaps, features and tracks: {source (built_in, network,
+supplied, none), from (the network's file or the option), how}), notes, device, predicted_bytes (of device
 memory, before it began), all also kept in the scene; and, in report.json too, peak_bytes,
-milliseconds_per_step, seconds {load, flow, cameras, masks, depth, static, joint, evaluate}; output. report.json
-alone has training [{phase (static, joint), step, gaussians, l1, ssim, psnr (dB, or null)}], measured on one
-picture each";
+milliseconds_per_step, seconds {load, flow, cameras, masks, depth, static, joint, evaluate}; output.
+report.json alone has training [{phase (static, joint), step, gaussians, l1, ssim, psnr (dB, or null)}],
+measured on one frame each";
 
 const QUALITY: &str = "longest side of the frames, steps, most Gaussians (or one for so many
 pixels of a frame, where that is more), most control points, degree of the spherical harmonics.";
@@ -225,18 +226,7 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     if let Some(live) = &mut live {
         live.set_pictures(&frames);
     }
-    let host = frames.len() as u64 * u64::from(width) * u64::from(height);
-    say(&format!(
-        "{} frames of {width}×{height} (from {}×{}), {} of memory",
-        frames.len(),
-        original.0,
-        original.1,
-        bytes(FRAME_BYTES * host)
-    ));
-    let what = format!("tracking {} frames of {width}×{height}", frames.len());
-    let shown = reconstruct_pictures::bytes(frames.len(), (width, height));
-    let of_page = if args.report.is_some() { shown } else { 0 };
-    check_memory((TRACK_BYTES * host).max(FRAME_BYTES * host + of_page), &what)?;
+    check_host_memory(args, frames.len(), (width, height), original)?;
     clock.lap("load");
 
     let settings = settings(args, common, &preset, (width, height));
@@ -282,7 +272,7 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
         .shown(live.as_ref())
         .after(history.unwrap_or_default());
     let mut scene = fit_sequence(&device, sequence, &settings, resume, &mut watcher)?;
-    let Watched { milliseconds_per_step, history } = watcher.finish();
+    let watched = watcher.finish();
     let model = model::of_clip(&scene, &track, &settings);
     say(&model::lines(&model));
     if let Some(live) = &live {
@@ -297,13 +287,8 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     clock.lap("evaluate");
 
     let origins = origins::of(args.known.given(), &Networks::of(models.as_ref()), &found.told);
-    let mut known_intrinsics = intrinsics::to_json(&track.intrinsics);
-    known_intrinsics["source"] = json!(focal_source(found.focal_source));
     let trained = scene.report.take();
-    if let Some(note) = broken_gradients(&trained) {
-        notes(std::slice::from_ref(&note));
-        all_notes.push(note);
-    }
+    note_broken_gradients(&trained, &mut all_notes);
     scene.report = json!({
         "psnr_input": quality::mean(measured.iter().map(|q| Some(q.psnr))),
         "ssim_input": quality::mean(measured.iter().map(|q| Some(q.ssim))),
@@ -315,7 +300,7 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
         "broken_gradients": trained["broken_gradients"],
         "dynamic_share": found.dynamic_share,
         "dynamic_gaussians": dynamic_share(&scene),
-        "intrinsics": known_intrinsics,
+        "intrinsics": intrinsics_json(&track),
         "lens": lens_json(track.lens.as_ref()),
         "poses": poses_json(found),
         "exposure": (!track.exposure.is_constant()).then_some(&track.exposure.gains),
@@ -332,19 +317,14 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
     });
     scene.save(&args.output)?;
     checkpoints.remove();
-    // Values that vary between runs are not stored in the scene, so that identical runs give identical files.
-    let mut json = scene.report.clone();
-    json["predicted_bytes"] = json!(predicted.with_page);
-    json["peak_bytes"] = json!(device.memory().1);
-    json["milliseconds_per_step"] = json!(milliseconds_per_step);
-    json["seconds"] = clock.json();
+    let mut json = watched.report(&scene, predicted, &device, &clock);
     if let Some(folder) = &args.report {
         let pictures = reconstruct_pictures::draw(&device, &scene, &views)?;
         let run = Run {
             scene: &scene,
             quality: &measured,
             pictures: &pictures,
-            history: &history,
+            history: &watched.history,
             model: &model,
             clock: &clock,
             report: &json,
@@ -365,6 +345,26 @@ pub fn run(args: &ReconstructArgs, common: &Common) -> Result<Answer> {
         live.finish();
     }
     Ok(Answer { text: text(&json, &clock), json })
+}
+
+/// Says how large the clip is, and checks that it can be tracked in the host's memory.
+fn check_host_memory(
+    args: &ReconstructArgs,
+    frames: usize,
+    (width, height): (u32, u32),
+    original: (u32, u32),
+) -> Result<()> {
+    let host = frames as u64 * u64::from(width) * u64::from(height);
+    say(&format!(
+        "{frames} frames of {width}×{height} (from {}×{}), {} of memory",
+        original.0,
+        original.1,
+        bytes(FRAME_BYTES * host)
+    ));
+    let what = format!("tracking {frames} frames of {width}×{height}");
+    let shown = reconstruct_pictures::bytes(frames, (width, height));
+    let of_page = if args.report.is_some() { shown } else { 0 };
+    check_memory((TRACK_BYTES * host).max(FRAME_BYTES * host + of_page), &what)
 }
 
 /// Peak device memory of the stages; an error where one does not fit.

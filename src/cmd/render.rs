@@ -40,10 +40,10 @@ each time in turn.
   depth    near is bright, far is dark, nothing is black             0000_depth.png
   alpha    how opaque a pixel is                                     0000_alpha.png
   motion   how much of a pixel comes from what moves                 0000_motion.png
-  flow     where each pixel goes until the next picture of the path, as
+  flow     where each pixel goes until the next image of the path, as
            hue and saturation, grey where nothing is; none of the last  0000_flow.png
   normal   Gaussians' shortest axes, toward the camera, as colours   0000_normal.png
-The first picture decides how depth and flow are shaded in all. A video shows one of them.
+The first image decides how depth and flow are shaded in all. A video shows one of them.
 
 --exr adds 32-bit floats: 0000.exr, RGBA, linear as blended, colour premultiplied, no background;
 0000_depth.exr, the mean depth along z as channel Z, 0 where nothing is; 0000_alpha.exr and
@@ -61,10 +61,10 @@ Examples:
   splat4d render scene.safetensors -o views --path cameras.json --times 0.5 --what colour,depth --exr
   splat4d render scene.safetensors --bench --settings fast.json --size 1280x720
 
-JSON: frames, width, height (of the first frame), gaussians, dropped, device, predicted_bytes (of
-device memory, before it began), peak_bytes, milliseconds_per_frame, output. With --bench: frames_per_second
-{median, quartiles}, milliseconds {median, quartiles} (of a frame), ratio {median, quartiles} (to the time
-of the most accurate settings), clock (Device or Host), error {max, rmse, psnr}, settings, views, rounds, software
+JSON: frames, width, height (of the first frame), gaussians, dropped, device, predicted_bytes (of device
+memory, before it began), peak_bytes, milliseconds_per_frame, output. With --bench: frames_per_second {median,
+quartiles}, milliseconds {median, quartiles} (of a frame), ratio {median, quartiles} (to the time of the most
+accurate settings), clock (Device or Host), error {max, rmse, psnr}, settings, views, rounds, software
 (whether the device is), and width, height, gaussians, dropped, device, predicted_bytes, peak_bytes";
 
 /// Render a scene file or a 3DGS PLY to images
@@ -133,7 +133,7 @@ pub fn run(args: &RenderArgs, common: &Common) -> Result<Answer> {
     };
     json["dropped"] = json!(dropped);
     let text =
-        format!("{} pictures in {}\n", shots.len(), json["output"].as_str().unwrap_or_default());
+        format!("{} images in {}\n", shots.len(), json["output"].as_str().unwrap_or_default());
     Ok(Answer { json, text })
 }
 
@@ -174,7 +174,7 @@ fn pictures(
     let pictures = if video { Some(beside(output)?) } else { None };
     let folder = pictures.as_ref().map_or(output, |pictures| pictures.path());
     let mut writer = Writer::new(&args.what, args.exr, video, background);
-    let mut meter = Meter::new("rendering", "pictures", shots.len() as u64, 0);
+    let mut meter = Meter::new("rendering", "images", shots.len() as u64, 0);
     let mut seconds = 0.0;
     for index in 0..shots.len() {
         interrupt::check()?;
@@ -222,7 +222,7 @@ fn foreseen(
     let (width, height) = k.map_or((1, 1), |k| (k.width, k.height));
     check_memory(
         u64::from(width) * u64::from(height) * BYTES_A_PIXEL,
-        &format!("a picture of {width}×{height}"),
+        &format!("an image of {width}×{height}"),
     )?;
     let usual = RenderScale::new(scene, (width, height), tuning);
     let mut scale = RenderScale { repainted, ..usual };
@@ -291,7 +291,7 @@ fn spare_inputs(args: &RenderArgs, output: &Path, pictures: usize) -> Result<()>
         }
         let picture = entry.path();
         if picture.is_dir() {
-            return Err(Error::format(picture, "is a folder, where a picture is to be written"));
+            return Err(Error::format(picture, "is a folder, where an image is to be written"));
         }
         inputs.spared_by(&picture)?;
     }

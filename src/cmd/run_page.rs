@@ -122,7 +122,7 @@ fn training(body: &mut String, history: &[Measured], curves: &Curves) -> Result<
     let plots = [
         (
             "Loss",
-            "each picture's, before its step",
+            "each image's, before its step",
             true,
             vec![line("L1", &|m| Some(m.l1)), line("1 − SSIM", &|m| Some(1.0 - m.ssim))],
         ),

@@ -87,6 +87,6 @@ mod tests {
         let sheet = tile(&[row.clone(), row]);
         assert_eq!((sheet.width, sheet.height), (4 * 3 + 3 * GAP, 2 * 2 + GAP));
         assert_eq!(sheet.at(3 + GAP, 2 + GAP), [0.2; 3]);
-        assert_eq!(sheet.at(3, 0), [1.0; 3], "between pictures it is white");
+        assert_eq!(sheet.at(3, 0), [1.0; 3], "between images it is white");
     }
 }

@@ -119,7 +119,7 @@ impl<'a> Shots<'a> {
         match shots.len() as u64 {
             0..=MOST_PICTURES => Ok(shots),
             count => Err(Error::Input(format!(
-                "{} cameras, each at {} times, are {} pictures; at most {} are rendered at once: \
+                "{} cameras, each at {} times, are {} images; at most {} are rendered at once: \
                  give fewer --times or --frames",
                 thousands(shots.cameras.len()),
                 thousands(shots.times.as_ref().map_or(1, Times::len)),

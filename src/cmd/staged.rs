@@ -111,8 +111,7 @@ impl Source {
         train.sort_by(|&a, &b| set.frames[a].time.total_cmp(&set.frames[b].time));
         let bad = |what: String| Err(Error::format(&self.dataset, what));
         if train.len() < 2 || test.is_empty() {
-            let what =
-                "has no split into training and test pictures, or fewer than two to train on";
+            let what = "has no split into training and test images, or fewer than two to train on";
             return bad(what.into());
         }
         let frames = |pair: &[usize]| [pair[0], pair[1]].map(|i| &set.frames[i]);

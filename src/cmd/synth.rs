@@ -15,7 +15,7 @@ use super::{interrupt, values};
 const AFTER_HELP: &str = "\
 rigid   a cart is driven through a room, the camera moves
 bend    a cloth ripples and a column bends, the camera moves
-crowd   walkers cover more than half of the picture, the camera moves
+crowd   walkers cover more than half of the image, the camera moves
 still   nothing moves but the camera
 tripod  the cart again, the camera fixed
 throw   a ball and a box fly past each other, spinning, over a floor that is nearly plain
@@ -24,7 +24,7 @@ walk    a person with limbs walks across the room and turns
 pan     a car passes in a street, the camera turns in place and follows it
 follow  the same, the camera in the hands of one who stands
 
-In the last five movers cast shadows. DIR/frames holds the pictures; DIR/truth intrinsics, poses
+In the last five movers cast shadows. DIR/frames holds the images; DIR/truth intrinsics, poses
 (TUM), depth (EXR), flow (.flo), masks, point tracks (.npz), and held-out cameras 8, 18 and 30 % of the median depth aside,
 every second time, with masks of the movers there and of the pixels that some frame saw.
 

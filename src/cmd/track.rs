@@ -9,7 +9,7 @@ use glam::DVec2;
 use rayon::prelude::*;
 use serde_json::{Value, json};
 use splat4d::data::transforms::{self, TimedCamera};
-use splat4d::data::{Point, exr, intrinsics, points, tracks, write_mask, write_png};
+use splat4d::data::{Point, exr, points, tracks, write_mask, write_png};
 use splat4d::observe::{FeatureSource, MaskSource};
 use splat4d::track::{Landmark, Sources, Track, track_observed};
 use splat4d::train::Quality;
@@ -20,7 +20,7 @@ use super::clip::{ClipArgs, shots_json};
 use super::clock::Clock;
 use super::common::{Answer, Common, notes, path_text, say};
 use super::interrupt;
-use super::known::{KnownArgs, flow_source, focal_source, lens_json, poses_json, write_cameras};
+use super::known::{KnownArgs, flow_source, intrinsics_json, lens_json, poses_json, write_cameras};
 use super::networks::{TrackNetworks, estimate_depth, estimate_pointmaps};
 use super::origins::{self, Networks};
 use super::outputs::Outputs;
@@ -42,11 +42,11 @@ DIR gets, whole or not at all:
   masks/0000.png …      white where something moves
   depth/0000.exr …      z, in the unit of --poses, else of the static points' median depth
   tracks.npz            tracks (points × frames × 2: x, y), visibles (points × frames), query_points
-                        (points × 3: frame, y, x), size; pixels, the picture's corner at 0
+                        (points × 3: frame, y, x), size; pixels, the image's corner at 0
   report.html           a page: the camera's path, what moves, residual flow, how well each frame is known
   report.json           what --json prints
 
-Points are followed through all frames, behind others and outside of the picture too: what stands still by
+Points are followed through all frames, behind others and outside of the image too: what stands still by
 cameras and depth, what moves by the surface that was found for it. --queries takes those of a file
 like tracks.npz; else they lie on a grid in the first, the middle and the last frame.
 
@@ -58,18 +58,18 @@ Examples:
   splat4d track clip/frames -o tracked --queries clip/truth/tracks.npz
   splat4d eval tracked/tracks.npz clip/truth/tracks.npz
 
-JSON: frames, frame_names, shot (the one taken, or null), shots ([first, last] frame of each, in the
-whole clip; empty where no cut was found), intrinsics {fx, fy, cx, cy, width, height, source (given, measured, assumed)},
-lens (by which the frames were undistorted: {k1, fx, fy, cx, cy, width, height}; null of a pinhole),
-poses {tripod, turns, inlier_share, reprojection_rms, parallax_deg, focal_std, doubtful_frames, tracks,
-motions (that the static world was chosen from, where that was in doubt: [{explained, hidden, hides}]),
-static_motion (the one taken, or null)},
-exposure (per frame, by what red, green and blue were multiplied, 0.055 added to the encoded values;
-null where it does not change), sources (of cameras, flow, depth, masks, pointmaps, features and tracks: {source
-(built_in, network, supplied, none), from (the network's file or the option), how}), per_frame [{observations (of static points), inliers (that agree),
-rms (of those, pixels), rotation_std_deg, position_std (unit of the poses; both from the first frame, null
-of a fixed camera, of given poses and where nothing tells)}], dynamic_share (of the pixels),
-movers (objects), points, landmarks (points triangulated), tracks, notes, device, seconds {load, flow, cameras, masks, depth, page}, output";
+JSON: frames, frame_names, shot (the one taken, or null), shots ([first, last] frame of each, in the whole
+clip; empty where no cut was found), intrinsics {fx, fy, cx, cy, width, height, source (given, measured,
+assumed)}, lens (by which the frames were undistorted: {k1, fx, fy, cx, cy, width, height}; null of a
+pinhole), poses {tripod, turns, inlier_share, reprojection_rms, parallax_deg, focal_std, doubtful_frames,
+tracks, motions (that the static world was chosen from, where that was in doubt: [{explained, hidden,
+hides}]), static_motion (the one taken, or null)}, exposure (per frame, by what red, green and blue were
+multiplied, 0.055 added to the encoded values; null where it does not change), sources (of cameras, flow,
+depth, masks, pointmaps, features and tracks: {source (built_in, network, supplied, none), from (the network's
+file or the option), how}), per_frame [{observations (of static points), inliers (that agree), rms (of those,
+pixels), rotation_std_deg, position_std (unit of the poses; both from the first frame, null of a fixed camera,
+of given poses and where nothing tells)}], dynamic_share (of the pixels), movers (objects), points, landmarks
+(points triangulated), tracks, notes, device, seconds {load, flow, cameras, masks, depth, page}, output";
 
 /// Contents of the output folder.
 const CONTENTS: [&str; 11] = [
@@ -173,14 +173,12 @@ pub fn run(args: &TrackArgs, common: &Common) -> Result<Answer> {
     .html()?;
     clock.lap("page");
 
-    let mut known_intrinsics = intrinsics::to_json(&track.intrinsics);
-    known_intrinsics["source"] = json!(focal_source(found.focal_source));
     let mut json = json!({
         "frames": frames.len(),
         "frame_names": names,
         "shot": clip.shot,
         "shots": shots_json(&clip.shots),
-        "intrinsics": known_intrinsics,
+        "intrinsics": intrinsics_json(&track),
         "lens": lens_json(track.lens.as_ref()),
         "poses": poses_json(found),
         "exposure": (!track.exposure.is_constant()).then_some(&track.exposure.gains),

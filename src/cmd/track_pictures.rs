@@ -167,6 +167,6 @@ mod tests {
         let found = outlined(&grey, &mask);
         assert_eq!(found.at(0, 0), [0.5; 3]);
         assert_eq!(found.at(1, 0), [0.0; 3]);
-        assert!(found.at(2, 0)[0] == 1.0 && found.at(3, 0)[0] == 1.0, "the picture ends there");
+        assert!(found.at(2, 0)[0] == 1.0 && found.at(3, 0)[0] == 1.0, "the image ends there");
     }
 }

@@ -23,26 +23,26 @@ use splat4d::{Error, Result};
 use super::checkpoints::{self, CheckpointArgs, Checkpoints, shown, summed};
 use super::clock::Clock;
 use super::common::{
-    Answer, Common, broken_gradients, bytes, most_pairs, notes, path_text, say, thousands,
+    Answer, Common, bytes, most_pairs, note_broken_gradients, notes, path_text, say, thousands,
 };
 use super::info::dynamic_share;
-use super::live::{LiveArgs, name_of};
+use super::live::{Live, LiveArgs, name_of};
 use super::model::{self, Choice};
 use super::outputs::{Inputs, Outputs};
 use super::quality::{self, Quality};
 use super::run_page::{self, Run};
 use super::train_page::Page;
-use super::watcher::{Kept, Watched, Watcher};
+use super::watcher::{Kept, Watcher};
 use super::{reconstruct_pictures, sheet, tuning, values};
 
 const AFTER_HELP: &str = "\
-Pictures that have times (`time` in transforms.json, D-NeRF, HyperNeRF) make a scene that moves; others, and
+Images that have times (`time` in transforms.json, D-NeRF, HyperNeRF) make a scene that moves; others, and
 with --static all, make a static one.
 
 DATASET is a folder, and what is in it tells its kind: transforms.json (nerfstudio, instant-ngp, or the
 file itself), transforms_train.json (D-NeRF), scene.json with dataset.json (Nerfies, HyperNeRF, DyCheck; or
 one of its rgb/Nx), poses_bounds.npy (LLFF, DyNeRF, NVIDIA dynamic scenes), a COLMAP model (sparse/0, binary
-or text), or the pictures of one sequence of MPI Sintel (training/final/NAME).
+or text), or the images of one sequence of MPI Sintel (training/final/NAME).
 
 Examples:
   splat4d train captures/fox -o fox.safetensors --steps 2000 --size 480
@@ -52,14 +52,14 @@ Examples:
 With --view only this machine reaches the page; with --host the machines that reach that address do, too, and
 the page's address then holds a random token. The page changes nothing of the scene that comes out.
 
-JSON: psnr_input, psnr_test (null where nothing is held out), ssim_test,
-gaussians, control_points, control_points_added, control_points_removed (null where nothing moves),
-broken_gradients (values that were not a number or infinite and were left out),
-dynamic_share, model [{what, chosen, because, saves}], density (null where their number is kept),
-steps, images, held_out, device, predicted_bytes (of device memory, before it began; with --view also of
-the page, in the scene without it), all also kept in the scene; and, in report.json too, peak_bytes, milliseconds_per_step,
-seconds {load, train, evaluate}; output. report.json alone has training [{phase (static, joint), step,
-gaussians, l1, ssim, psnr (dB, or null)}], measured on one picture each";
+JSON: psnr_input, psnr_test (null where nothing is held out), ssim_test, gaussians, control_points,
+control_points_added, control_points_removed (null where nothing moves), broken_gradients (values that were
+not a number or infinite and were left out), dynamic_share, model [{what, chosen, because, saves}], density
+(null where their number is kept), steps, images, held_out, device, predicted_bytes (of device memory, before
+it began; with --view also of the page, in the scene without it), all also kept in the scene; and, in
+report.json too, peak_bytes, milliseconds_per_step, seconds {load, train, evaluate}; output. report.json alone
+has training [{phase (static, joint), step, gaussians, l1, ssim, psnr (dB, or null)}], measured on one image
+each";
 
 /// Host memory per Gaussian during initialisation, bytes: the point, the neighbour tree, and all its values
 /// twice.
@@ -143,22 +143,12 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
     }
     args.checkpoints.check(&args.output)?;
     let tuning = tuning::read(args.settings.as_deref())?;
-    let sh_degree = args.sh_degree.min(tuning.sh_degree);
     let mut clock = Clock::start();
 
-    let mut set = Dataset::open(&args.dataset)?;
-    notes(&set.notes);
-    let pictures = set.frames.iter().map(|frame| &frame.path);
-    let read = pictures.chain(&set.sources).chain(&args.settings).cloned();
-    outputs.spare(&Inputs::new(read, []))?;
-    set.background = args.background.unwrap_or(set.background);
-    if set.frames.len() < 2 {
-        let what = "holds one picture only; a scene needs two at least, from different places";
-        return Err(Error::format(&args.dataset, what));
-    }
+    let mut set = open_set(args, &outputs)?;
     let (train, test) = set.split(args.eval_every);
     if train.is_empty() {
-        let what = "every picture is held out; train on some with a larger --eval-every";
+        let what = "every image is held out; train on some with a larger --eval-every";
         return Err(Error::Input(what.into()));
     }
     let device = common.open_device()?;
@@ -167,46 +157,18 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
     let (train, test) = (set.load(&train, size)?, set.load(&test, size)?);
     let first = first_gaussians(args, &set);
     say(&format!(
-        "{} pictures to train on, {} held out, {} Gaussians to begin with",
+        "{} images to train on, {} held out, {} Gaussians to begin with",
         train.len(),
         test.len(),
         thousands(first)
     ));
 
-    let settings = TrainSettings {
-        max_gaussians: if args.max_gaussians == 0 { first } else { args.max_gaussians },
-        sh_degree,
-        render: tuning.apply(RenderSettings::default()),
-        depth_bits: tuning.depth_bits,
-        raster: tuning.raster,
-        background: set.background,
-        // A visual hull is larger than the subject: faint Gaussians are moved to where it is.
-        growth: (args.max_gaussians > 0 || begins_in_hull(&set)).then(|| growth(args)),
-        seed: common.seed,
-        ..TrainSettings::of_steps(args.steps)
-    };
-    let moving = set.timed && !args.still;
-    let model = [match (moving, set.timed) {
-        (true, _) => {
-            let chosen = "every Gaussian follows control points (--static: none)";
-            Choice::new("motion", chosen, "the pictures have times")
-        }
-        (false, timed) => {
-            let because = if timed { "--static" } else { "the pictures have no times" };
-            Choice::new("motion", "none: no control points, no network", because)
-        }
-    }];
+    let settings = settings(args, common, &set, &tuning);
+    let (motion, choice) = motion(args, &set, &tuning);
+    let model = [choice];
     say(&model::lines(&model));
-    let motion = moving.then(|| {
-        let motion = PosedMotion { control_points: args.control_points, ..Default::default() };
-        let most = tuning.neighbours.map_or(motion.neighbours, |k| k as usize);
-        PosedMotion { neighbours: motion.neighbours.min(most), ..motion }
-    });
     if let Some(live) = &mut live {
-        let mut filmed: Vec<&View> = train.iter().chain(&test).collect();
-        filmed.sort_by(|a, b| a.time.total_cmp(&b.time));
-        live.set_cameras(in_time(filmed.iter().map(|view| (view.time, view.camera))));
-        live.set_pictures(filmed.iter().map(|view| &view.image));
+        show_input(live, train.iter().chain(&test));
     }
     // The images are large, so they are moved and returned after training.
     let (called, mut views): (Vec<String>, Vec<TrainingView>) =
@@ -219,7 +181,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
         (first as u64).saturating_mul(BYTES_A_SEED),
         &format!("beginning with {} Gaussians", thousands(first)),
     )?;
-    let seeded = seed_from_points(&points(common, &set, &views, first), sh_degree);
+    let seeded = seed_from_points(&points(common, &set, &views, first), settings.sh_degree);
     clock.lap("load");
     // The initial Gaussians may be large: sparse points are far apart.
     let near = settings.render.near * posed_unit(&views, &seeded) as f32;
@@ -231,7 +193,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
     let identity = identity(args, &views, &seeded, &tuning, &settings, motion.as_ref());
     let mut checkpoints = Checkpoints::new(&args.output, &args.checkpoints, identity);
     let (resume, history) = checkpoints.load::<Kept>("training")?.unzip();
-    let names = |phase: Phase| match (phase, moving) {
+    let names = |phase: Phase| match (phase, motion.is_some()) {
         (Phase::Static, true) => ("warm-up", "train"),
         _ => ("training", "train"),
     };
@@ -241,7 +203,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
         .after(history.unwrap_or_default());
     let mut scene =
         fit_posed(&device, &mut views, &seeded, motion.as_ref(), &settings, resume, &mut watcher)?;
-    let Watched { milliseconds_per_step, history } = watcher.finish();
+    let watched = watcher.finish();
     let train: Vec<View> = called.into_iter().zip(views).map(picture).collect();
     scene.cameras = in_time(train.iter().chain(&test).map(|view| (view.time, view.camera)));
     scene.background = set.background;
@@ -258,10 +220,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
     let psnr = |of: &[Quality]| quality::mean(of.iter().map(|q| Some(q.psnr)));
     let trained = scene.report.take();
     let mut all_notes = std::mem::take(&mut set.notes);
-    if let Some(note) = broken_gradients(&trained) {
-        notes(std::slice::from_ref(&note));
-        all_notes.push(note);
-    }
+    note_broken_gradients(&trained, &mut all_notes);
     scene.report = json!({
         "psnr_input": psnr(&on_input),
         "psnr_test": psnr(&on_test),
@@ -285,12 +244,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
     });
     scene.save(&args.output)?;
     checkpoints.remove();
-    // Values that vary between runs are not stored in the scene, so that identical runs give identical files.
-    let mut json = scene.report.clone();
-    json["predicted_bytes"] = json!(foreseen.with_page);
-    json["peak_bytes"] = json!(device.memory().1);
-    json["milliseconds_per_step"] = json!(milliseconds_per_step);
-    json["seconds"] = clock.json();
+    let mut json = watched.report(&scene, foreseen, &device, &clock);
     if let Some(folder) = &args.report {
         let (views, quality) =
             if test.is_empty() { (&train, &on_input) } else { (&test, &on_test) };
@@ -299,7 +253,7 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
             scene: &scene,
             quality,
             pictures: &pictures,
-            history: &history,
+            history: &watched.history,
             model: &model,
             clock: &clock,
             report: &json,
@@ -313,6 +267,58 @@ pub fn run(args: &TrainArgs, common: &Common) -> Result<Answer> {
         live.finish();
     }
     Ok(Answer { text: text(&json, &clock), json })
+}
+
+/// Reads the list of a dataset's images, and checks that no output overwrites them.
+fn open_set(args: &TrainArgs, outputs: &Outputs) -> Result<Dataset> {
+    let mut set = Dataset::open(&args.dataset)?;
+    notes(&set.notes);
+    let images = set.frames.iter().map(|frame| &frame.path);
+    let read = images.chain(&set.sources).chain(&args.settings).cloned();
+    outputs.spare(&Inputs::new(read, []))?;
+    set.background = args.background.unwrap_or(set.background);
+    if set.frames.len() < 2 {
+        let what = "holds one image only; a scene needs two at least, from different places";
+        return Err(Error::format(&args.dataset, what));
+    }
+    Ok(set)
+}
+
+fn settings(args: &TrainArgs, common: &Common, set: &Dataset, tuning: &Tuning) -> TrainSettings {
+    let most = args.max_gaussians;
+    TrainSettings {
+        max_gaussians: if most == 0 { first_gaussians(args, set) } else { most },
+        sh_degree: args.sh_degree.min(tuning.sh_degree),
+        render: tuning.apply(RenderSettings::default()),
+        depth_bits: tuning.depth_bits,
+        raster: tuning.raster,
+        background: set.background,
+        // A visual hull is larger than the subject: faint Gaussians are moved to where it is.
+        growth: (most > 0 || begins_in_hull(set)).then(|| growth(args)),
+        seed: common.seed,
+        ..TrainSettings::of_steps(args.steps)
+    }
+}
+
+/// How the scene moves, if it does, and the reason.
+fn motion(args: &TrainArgs, set: &Dataset, tuning: &Tuning) -> (Option<PosedMotion>, Choice) {
+    if !set.timed || args.still {
+        let because = if set.timed { "--static" } else { "the images have no times" };
+        return (None, Choice::new("motion", "none: no control points, no network", because));
+    }
+    let usual = PosedMotion { control_points: args.control_points, ..Default::default() };
+    let most = tuning.neighbours.map_or(usual.neighbours, |k| k as usize);
+    let motion = PosedMotion { neighbours: usual.neighbours.min(most), ..usual };
+    let chosen = "every Gaussian follows control points (--static: none)";
+    (Some(motion), Choice::new("motion", chosen, "the images have times"))
+}
+
+/// Shows the dataset's images beside the scene, in the order of their times.
+fn show_input<'a>(live: &mut Live, views: impl Iterator<Item = &'a View>) {
+    let mut views: Vec<&View> = views.collect();
+    views.sort_by(|a, b| a.time.total_cmp(&b.time));
+    live.set_cameras(in_time(views.iter().map(|view| (view.time, view.camera))));
+    live.set_pictures(views.iter().map(|view| &view.image));
 }
 
 /// A training image as it was loaded.
@@ -427,7 +433,7 @@ fn text(report: &Value, clock: &Clock) -> String {
     let number = |key: &str| report[key].as_f64();
     let decibels = |key| number(key).map_or("none".into(), |v| format!("{v:.2} dB"));
     format!(
-        "scene        {}\nPSNR, input  {}\nPSNR, test   {} ({} pictures)\nGaussians    {}\n\
+        "scene        {}\nPSNR, input  {}\nPSNR, test   {} ({} images)\nGaussians    {}\n\
          step         {:.1} ms\ntime         {}\nmemory       {} at most on the device\n",
         report["output"].as_str().unwrap_or_default(),
         decibels("psnr_input"),

@@ -70,7 +70,7 @@ impl Page<'_> {
             n => format!(", and {n} that were held out at {}.", self.decibels("psnr_test")),
         };
         format!(
-            "{made} show the {} pictures that they were trained on at {} (PSNR){test}",
+            "{made} show the {} images that they were trained on at {} (PSNR){test}",
             self.run.report["images"],
             self.decibels("psnr_input")
         )
@@ -101,16 +101,16 @@ impl Page<'_> {
         };
         let names: Vec<String> = self.run.pictures.frames.iter().map(name).collect();
         let shown = match self.held_out() {
-            0 => "Pictures that the scene was trained on",
-            _ => "Pictures that were held out",
+            0 => "Images that the scene was trained on",
+            _ => "Images that were held out",
         };
         *body += &format!(
-            "<h2>Pictures and render</h2>\n<p>{shown}, and what the scene shows from the same cameras. The \
+            "<h2>Images and render</h2>\n<p>{shown}, and what the scene shows from the same cameras. The \
              error is the mean over the channels, which go from 0 to 1.</p>\n<div \
              class=\"scale\">{}</div>\n",
             heat_key(self.run.pictures.most_error, "")
         );
-        player::draw(body, "picture", &self.run.pictures.lanes, &names);
+        player::draw(body, "image", &self.run.pictures.lanes, &names);
     }
 
     fn cameras(&self, body: &mut String) {
@@ -129,9 +129,9 @@ impl Page<'_> {
         body.push_str("<h2>Where the cameras are</h2>\n");
         camera_maps::maps(body, &cameras, "unit of the dataset", "the dataset's points");
         body.push_str(
-            "<p>The line goes through the pictures, trained on and held out, in the order of their times, from \
+            "<p>The line goes through the images, trained on and held out, in the order of their times, from \
              the first (disc) to the last (square); triangles are what some of them see. Up is the mean \
-             upward direction of the pictures.",
+             upward direction of the images.",
         );
         if !self.points.is_empty() {
             body.push_str(

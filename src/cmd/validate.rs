@@ -39,13 +39,14 @@ Examples:
   splat4d validate --validation --report driver.html
   splat4d validate --fuzz 10000 --seed 3
 
-JSON: cases, failed, left_out (cases that --seconds left no time for), seconds, quick, validation, devices [{index, name, driver}], and rows, one for each
-case and device: {device (index), case, result (passed, failed, known fault, fault gone), reason, seed,
-seconds, comparisons, worst, failures, error, messages}. worst, and each of failures, is {output,
-values, bound {absolute, relative}, absolute, relative, ulp, of_bound, at, got and expected (the two
-values there, as text), oracle_f32_absolute, oracle_f32_of_bound}; worst is the output nearest to its
-bound. bound is null where only equality counts; null also stands for what is infinite or does not apply. With --fuzz and --case: cases (scenes
-judged), failed, seconds, devices, and rows: {device, what, file} and with --fuzz scene, its number.";
+JSON: cases, failed, left_out (cases that --seconds left no time for), seconds, quick, validation, devices
+[{index, name, driver}], and rows, one for each case and device: {device (index), case, result (passed,
+failed, known fault, fault gone), reason, seed, seconds, comparisons, worst, failures, error, messages}.
+worst, and each of failures, is {output, values, bound {absolute, relative}, absolute, relative, ulp,
+of_bound, at, got and expected (the two values there, as text), oracle_f32_absolute, oracle_f32_of_bound};
+worst is the output nearest to its bound. bound is null where only equality counts; null also stands for what
+is infinite or does not apply. With --fuzz and --case: cases (scenes judged), failed, seconds, devices, and
+rows: {device, what, file} and with --fuzz scene, its number.";
 
 /// Check every kernel of a device, or of all devices, against the oracle
 #[derive(Args)]

@@ -34,7 +34,7 @@ Only this machine reaches it. With --host the machines that reach that address d
 address then holds a random token; what is sent is not encrypted.
 
 --frames shows the input beside the scene: of a video (read through ffmpeg) the frames that the scene was
-made of, of a folder all pictures. Where there are as many as the scene has cameras, each belongs to one;
+made of, of a folder all images. Where there are as many as the scene has cameras, each belongs to one;
 else their times run evenly from 0 to 1. Of a video that the scene does not tell of, at most 600 are taken.
 
 Example:
@@ -129,7 +129,7 @@ pub fn run(args: &ViewArgs, common: &Common) -> Result<Answer> {
 fn pictures(input: &Path, scene: &Scene) -> Result<Pictures> {
     if std::fs::metadata(input).map_err(Error::io(input))?.is_file() {
         if images::has_image_extension(input) {
-            let what = "is one picture; --frames takes the video, or a folder of its frames";
+            let what = "is one image; --frames takes the video, or a folder of its frames";
             return Err(Error::format(input, what));
         }
         let total = video::extent(input)?.frames;
@@ -138,7 +138,7 @@ fn pictures(input: &Path, scene: &Scene) -> Result<Pictures> {
     }
     let files = Clip::files(input)?;
     if files.is_empty() {
-        let what = "holds no pictures; --frames takes the video, or a folder of its frames";
+        let what = "holds no images; --frames takes the video, or a folder of its frames";
         return Err(Error::format(input, what));
     }
     for file in &files {
@@ -169,7 +169,7 @@ fn foreseen(device: &splat4d::gpu::Device, scene: &Scene, tuning: &Tuning) -> Re
     let (width, height) = USUAL_SIZE;
     check_memory(
         u64::from(width) * u64::from(height) * BYTES_A_PIXEL,
-        &format!("a picture of {width}×{height}"),
+        &format!("an image of {width}×{height}"),
     )?;
     // Motion masks, flow and normals are drawn by a second pass.
     let scale = RenderScale { repainted: true, ..RenderScale::new(scene, USUAL_SIZE, tuning) };

@@ -3,7 +3,9 @@
 use std::borrow::Cow;
 use std::time::{Duration, Instant};
 
+use serde_json::{Value, json};
 use splat4d::Result;
+use splat4d::gpu::Device;
 use splat4d::ops::loss::LossValue;
 use splat4d::scene::Scene;
 use splat4d::train::{Checkpoint, Measured, Observer, Phase};
@@ -11,7 +13,7 @@ use splat4d::view::protocol::Progressed;
 
 use super::checkpoints::Checkpoints;
 use super::clock::Clock;
-use super::live::Live;
+use super::live::{Foreseen, Live};
 use super::meter::Meter;
 
 /// Checkpoint of a training: its state, and the measurements so far.
@@ -45,9 +47,28 @@ pub struct Watcher<'a> {
 /// Results of a training's observation.
 pub struct Watched {
     /// Mean duration of a step of the last stage, milliseconds.
-    pub milliseconds_per_step: f64,
+    milliseconds_per_step: f64,
     /// Measurements during the training, including those of the run that this one resumes.
     pub history: Vec<Measured>,
+}
+
+impl Watched {
+    /// The scene's own report with the values that vary between runs, which the scene does not keep, so that
+    /// identical runs give identical files.
+    pub fn report(
+        &self,
+        scene: &Scene,
+        foreseen: Foreseen,
+        device: &Device,
+        clock: &Clock,
+    ) -> Value {
+        let mut report = scene.report.clone();
+        report["predicted_bytes"] = json!(foreseen.with_page);
+        report["peak_bytes"] = json!(device.memory().1);
+        report["milliseconds_per_step"] = json!(self.milliseconds_per_step);
+        report["seconds"] = clock.json();
+        report
+    }
 }
 
 /// Name on the page for a phase's name on the progress bar.

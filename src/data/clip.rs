@@ -1,5 +1,6 @@
 //! A clip: the frames of one video in order, with unknown cameras.
 
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
@@ -300,38 +301,7 @@ fn open_folder(folder: &Path, options: &ClipOptions, go_on: GoOn) -> Result<Clip
         .chunks(at_a_time)
         .flat_map(|files| files.par_iter().map(read).collect::<Vec<_>>())
         .collect();
-    let (mut frames, mut bad) = (Vec::new(), Vec::new());
-    let mut first = None;
-    for (result, (number, file)) in decoded.into_iter().zip(&files) {
-        match result {
-            Ok((size, image)) => {
-                let (of, expected) = *first.get_or_insert((file, size));
-                if size != expected {
-                    return Err(Error::format(
-                        file,
-                        format!(
-                            "is {}×{}, but {} is {}×{}; all frames must have one size",
-                            size.0,
-                            size.1,
-                            of.file_name().unwrap_or_default().to_string_lossy(),
-                            expected.0,
-                            expected.1
-                        ),
-                    ));
-                }
-                let stem = file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-                frames.push((stem, *number, image));
-            }
-            // Only errors of the file itself may be skipped.
-            Err(error @ (Error::Io { .. } | Error::Format { .. })) if !options.skip_bad => {
-                return Err(hint_skip(error));
-            }
-            Err(Error::Io { .. } | Error::Format { .. }) => {
-                bad.push(file.file_name().unwrap_or_default().to_string_lossy());
-            }
-            Err(other) => return Err(other),
-        }
-    }
+    let FolderFrames { frames, first, bad } = collect(decoded, &files, options.skip_bad)?;
     let mut clip = assemble(folder, frames, options, bad.len())?;
     clip.total = Some(total);
     clip.cut(shots, shot, None, options);
@@ -346,6 +316,54 @@ fn open_folder(folder: &Path, options: &ClipOptions, go_on: GoOn) -> Result<Clip
         clip.focal = exif::focal(file, width, height).map(|focal| focal * scale);
     }
     Ok(clip)
+}
+
+/// The frames of a folder.
+struct FolderFrames<'a> {
+    /// Name, index in the whole clip, and image.
+    frames: Vec<(String, usize, Image)>,
+    /// The first that could be read, with its size before resizing.
+    first: Option<(&'a Path, (u32, u32))>,
+    /// Names of the files that cannot be read.
+    bad: Vec<String>,
+}
+
+/// Sorts what was read of `files` (size before resizing, resized image) into frames and unreadable files.
+fn collect(
+    decoded: Vec<Result<((u32, u32), Image)>>,
+    files: &[(usize, PathBuf)],
+    skip_bad: bool,
+) -> Result<FolderFrames<'_>> {
+    let named = |name: Option<&OsStr>| name.unwrap_or_default().to_string_lossy().into_owned();
+    let (mut frames, mut first, mut bad) = (Vec::new(), None, Vec::new());
+    for (result, (number, file)) in decoded.into_iter().zip(files) {
+        match result {
+            Ok((size, image)) => {
+                let (of, expected) = *first.get_or_insert((file.as_path(), size));
+                if size != expected {
+                    return Err(Error::format(
+                        file,
+                        format!(
+                            "is {}×{}, but {} is {}×{}; all frames must have one size",
+                            size.0,
+                            size.1,
+                            named(of.file_name()),
+                            expected.0,
+                            expected.1
+                        ),
+                    ));
+                }
+                frames.push((named(file.file_stem()), *number, image));
+            }
+            // Only errors of the file itself may be skipped.
+            Err(error @ (Error::Io { .. } | Error::Format { .. })) if !skip_bad => {
+                return Err(hint_skip(error));
+            }
+            Err(Error::Io { .. } | Error::Format { .. }) => bad.push(named(file.file_name())),
+            Err(other) => return Err(other),
+        }
+    }
+    Ok(FolderFrames { frames, first, bad })
 }
 
 /// The shots of a folder's images. Unreadable files are ignored here; they are reported if they are taken.

@@ -47,13 +47,13 @@ impl Distortion {
                 continue;
             }
             range::wanted(self.turns_over(plane) > 0.0, || {
-                format!("{} cannot be undone: at pixel {pixel} it folds the picture over", named())
+                format!("{} cannot be undone: at pixel {pixel} it folds the image over", named())
             })?;
             left += 1;
         }
         let share = f64::from(left) / f64::from(CHECKED * CHECKED);
         range::wanted(share >= LEAST_LEFT, || {
-            format!("{} leaves only {:.1} % of the picture", named(), 100.0 * share)
+            format!("{} leaves only {:.1} % of the image", named(), 100.0 * share)
         })
     }
 

@@ -137,7 +137,7 @@ pub(super) fn large_note(size: (u32, u32)) -> Option<String> {
     const MUCH: u64 = 1 << 30;
     let bytes = Some(reading_bytes(size)).filter(|bytes| *bytes >= MUCH)?;
     Some(format!(
-        "pictures of {}×{} take {} of memory each while they are read",
+        "images of {}×{} take {} of memory each while they are read",
         size.0,
         size.1,
         gibibytes(bytes)
@@ -148,14 +148,14 @@ pub(super) fn large_note(size: (u32, u32)) -> Option<String> {
 fn decode(path: &Path, orientation: Orientation) -> Result<DynamicImage> {
     let bytes = read(path)?;
     if bytes.starts_with(&[0xff, 0xd8]) && !jpeg_ends(&bytes) {
-        return Err(Error::format(path, "is cut short: a JPEG picture without its end"));
+        return Err(Error::format(path, "is cut short: a JPEG image without its end"));
     }
     let reader = ImageReader::new(Cursor::new(&bytes)).with_guessed_format();
     let mut decoder =
         reader.map_err(Error::io(path))?.into_decoder().map_err(|e| undecodable(path, &e))?;
     check_unpacked(path, decoder.total_bytes(), bytes.len())?;
     let (width, height) = decoder.dimensions();
-    let what = format!("{}: a picture of {width}×{height}", path.display());
+    let what = format!("{}: an image of {width}×{height}", path.display());
     // The decoded image, and the floats.
     let floats = (u64::from(width) * u64::from(height)).saturating_mul(12);
     check_memory(decoder.total_bytes().saturating_add(floats), &what)?;
@@ -327,7 +327,7 @@ pub(super) fn read_rgb16(path: &Path) -> Result<(u32, u32, Vec<u16>)> {
 
 fn not_of_16_bits(path: &Path, wanted: &str, found: &DynamicImage) -> Error {
     let found = found.color();
-    Error::format(path, format!("{wanted} picture of 16 bits was expected, this one is {found:?}"))
+    Error::format(path, format!("{wanted} image of 16 bits was expected, this one is {found:?}"))
 }
 
 /// Width and height of an array, if an image can have them.

@@ -139,7 +139,7 @@ impl Frame {
         let k = &self.camera.intrinsics;
         if (mask.width, mask.height) != (k.width, k.height) {
             let what = format!(
-                "is {}×{}, and the picture that it belongs to, {}, is {}×{}",
+                "is {}×{}, and the image that it belongs to, {}, is {}×{}",
                 mask.width,
                 mask.height,
                 excerpt(&self.name),
@@ -268,7 +268,7 @@ impl Dataset {
             4 * floats * u64::from(width) * u64::from(height)
         };
         let bytes = indices.iter().map(bytes).fold(0, u64::saturating_add);
-        io::check_memory(bytes, &format!("loading {} pictures", indices.len()))?;
+        io::check_memory(bytes, &format!("loading {} images", indices.len()))?;
         let (of_videos, images): (Vec<usize>, Vec<usize>) =
             (0..indices.len()).partition(|&i| self.frames[indices[i]].number.is_some());
         let mut views: Vec<Option<View>> = vec![None; indices.len()];

@@ -116,7 +116,7 @@ pub fn read(root: &Path, pictures: Option<&Path>) -> Result<Dataset> {
         times.push((*time, *held_out));
     }
     if !times.iter().any(|(_, held_out)| !held_out) {
-        let what = "holds none of the pictures to train on that are listed";
+        let what = "holds none of the images to train on that are listed";
         return Err(Error::format(folder, what));
     }
     set.notes.extend(missing_note(&missing, listed.frames.len()));
@@ -218,7 +218,7 @@ impl Listed {
         frames.retain(|frame| seen.insert(frame.0.clone()));
         if frames.len() < listed {
             let twice = listed - frames.len();
-            set.notes.push(format!("{twice} of {listed} pictures are listed twice and count once"));
+            set.notes.push(format!("{twice} of {listed} images are listed twice and count once"));
         }
         Ok(Listed { frames, timed })
     }
@@ -237,7 +237,7 @@ fn interpolation(json: &Json, notes: &mut Vec<String>) -> Result<(Vec<String>, V
         }
     }
     notes.push(format!(
-        "`val_ids` is empty: HyperNeRF's split for interpolation is used, {} of {count} pictures to \
+        "`val_ids` is empty: HyperNeRF's split for interpolation is used, {} of {count} images to \
          train on (every fourth), {} midway between them for the test",
         train.len(),
         test.len()
@@ -270,12 +270,12 @@ fn folder_of_pictures(root: &Path, set: &mut Dataset) -> Result<PathBuf> {
         set.sources.push(extra);
     }
     let Some(&finest) = factors.first() else {
-        return Err(Error::format(rgb, "holds no folder of pictures (1x, 2x, 4x, …)"));
+        return Err(Error::format(rgb, "holds no folder of images (1x, 2x, 4x, …)"));
     };
     let chosen = if factors.contains(&wanted) { wanted } else { finest };
     if factors.len() > 1 {
         set.notes.push(format!(
-            "pictures of rgb/{chosen}x are taken; there are {}: name the folder of others as the dataset",
+            "images of rgb/{chosen}x are taken; there are {}: name the folder of others as the dataset",
             names(&factors)
         ));
     }
@@ -340,7 +340,7 @@ pub fn read_camera(path: &Path, scene: &Scene) -> Result<(Lens, Pose)> {
     let skew = json.number_or("skew", 0.0)?;
     if skew.abs() > 1e-6 * fx.abs() {
         let what =
-            format!("`skew` = {skew:?}: skewed pixels are not supported; undistort the pictures");
+            format!("`skew` = {skew:?}: skewed pixels are not supported; undistort the images");
         return Err(json.bad(what));
     }
     let intrinsics = Intrinsics { fx, fy, cx, cy, width, height };
@@ -432,7 +432,7 @@ impl Json {
 
     /// A list of ids, which are strings or numbers.
     fn ids(&self, key: &str) -> Result<Vec<String>> {
-        let bad = || self.bad(format!("`{key}` is not a list of pictures' names"));
+        let bad = || self.bad(format!("`{key}` is not a list of images' names"));
         let id = |value: &Value| match value {
             Value::String(id) => Ok(id.clone()),
             Value::Number(id) => Ok(id.to_string()),

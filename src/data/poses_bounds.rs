@@ -86,7 +86,7 @@ pub fn read_rows(path: &Path) -> Result<Vec<Row>> {
         let Some((width, height)) =
             images::sides(width as usize, height as usize).filter(|_| whole)
         else {
-            return Err(bad(format!("a picture of {width:?}×{height:?} makes no sense")));
+            return Err(bad(format!("an image of {width:?}×{height:?} makes no sense")));
         };
         let intrinsics = Intrinsics::centred(focal, width, height);
         intrinsics.check().map_err(bad)?;
@@ -215,7 +215,7 @@ fn frames_of(row: &Row, taken: &Taken) -> Result<Vec<Frame>> {
     }
     let files = images::list(path)?;
     let Some(first) = files.first() else {
-        return Err(Error::format(path, "holds no pictures of its camera"));
+        return Err(Error::format(path, "holds no images of its camera"));
     };
     // All images of a camera have one size, so only the first is read here; a deviating size is reported
     // when the image is loaded.
@@ -234,7 +234,7 @@ fn moving(root: &Path, rows: &[Row], pictures: Option<&Path>) -> Result<Dataset>
     let files = images::list(&folder)?;
     if files.len() != rows.len() {
         let what = format!(
-            "holds {} pictures, and {NAME} {} cameras; one for each is expected",
+            "holds {} images, and {NAME} {} cameras; one for each is expected",
             files.len(),
             rows.len()
         );
@@ -243,7 +243,7 @@ fn moving(root: &Path, rows: &[Row], pictures: Option<&Path>) -> Result<Dataset>
     let of_video = OF_VIDEO.iter().find(|name| root.join(name).is_dir());
     let mut set = Dataset { timed: of_video.is_some(), ..Dataset::default() };
     if let Some(name) = of_video {
-        set.notes.push(format!("{name}/ tells that the pictures are a video's: they have times"));
+        set.notes.push(format!("{name}/ tells that the images are a video's: they have times"));
     }
     let last = files.len().saturating_sub(1).max(1) as f64;
     for (i, (file, row)) in files.iter().zip(rows).enumerate() {
@@ -277,7 +277,7 @@ fn other_cameras(
     let files = images::list(&folder)?;
     if files.is_empty() || files.len() > rows.len() {
         let what = format!(
-            "holds {} pictures; one of each camera is expected, at most one for each of the {} rows of {NAME}",
+            "holds {} images; one of each camera is expected, at most one for each of the {} rows of {NAME}",
             files.len(),
             rows.len()
         );

@@ -60,7 +60,7 @@ pub(super) fn root(folder: &Path) -> Option<String> {
     let root = [folder.to_path_buf(), folder.join("training"), folder.join("..")];
     let root = root.into_iter().find(|root| root.join(CAMERAS).is_dir())?;
     Some(format!(
-        "holds several sequences of MPI Sintel; give the pictures of one, such as {}",
+        "holds several sequences of MPI Sintel; give the images of one, such as {}",
         root.join("final").join(SEQUENCES[0]).display()
     ))
 }
@@ -73,7 +73,7 @@ pub(super) fn root(folder: &Path) -> Option<String> {
 pub fn read(pictures: &Path, cameras: &Path) -> Result<Dataset> {
     let files = images::list(pictures)?;
     if files.is_empty() {
-        return Err(Error::format(pictures, "holds no pictures"));
+        return Err(Error::format(pictures, "holds no images"));
     }
     let mut set = Dataset { timed: true, ..Dataset::default() };
     let last = files.len().saturating_sub(1).max(1) as f64;
@@ -82,7 +82,7 @@ pub fn read(pictures: &Path, cameras: &Path) -> Result<Dataset> {
         let path = cameras.join(format!("{stem}.cam"));
         if !path.is_file() {
             let what =
-                format!("has no {stem}.cam, and {} is a picture of the sequence", file.display());
+                format!("has no {stem}.cam, and {} is an image of the sequence", file.display());
             return Err(Error::format(cameras, what));
         }
         let found = cam::read(&path)?;

@@ -40,71 +40,24 @@ pub fn read(path: impl AsRef<Path>) -> Result<Tracks> {
                     an .npz where you trust it: np.savez(name, **pickle.load(open(file, 'rb'))[name])";
         return Err(Error::format(path, what));
     }
-    let mut archive = npy::open(path, &bytes)?;
-    let mut array = |name: &str| npy::entry(path, &mut archive, bytes.len(), name);
-    let mut of_video = None;
-    let (mut tracks, centre) = match array("tracks")? {
-        Some(tracks) => (tracks, 0.0),
-        None => match (array("pred_tracks")?, array("points")?) {
-            (Some(tracks), _) => (swapped(path, tracks, 2)?, 0.5),
-            (None, Some(points)) => {
-                let shape = npy::shape(path, &mut archive, "video")?;
-                of_video = Some(video_size(path, shape)?);
-                (points, 0.0)
-            }
-            (None, None) => {
-                let what = "holds neither `tracks` (points × frames × 2) nor `pred_tracks` nor TAP-Vid's \
-                            `points`";
-                return Err(Error::format(path, what));
-            }
-        },
-    };
-    if let Some((width, height)) = of_video {
-        let sides = [f64::from(width), f64::from(height)];
-        tracks.values.iter_mut().zip(sides.iter().cycle()).for_each(|(value, side)| *value *= side);
-    }
-    let mut array = |name: &str| npy::entry(path, &mut archive, bytes.len(), name);
+    let mut archive = Archive { path, entries: npy::open(path, &bytes)?, bytes: bytes.len() };
+    let Positions { array: tracks, centre, size: of_video } = archive.positions()?;
     let [points, frames, 2] = tracks.shape[..] else {
         let what = format!("its tracks are of shape {:?}, not points × frames × 2", tracks.shape);
         return Err(Error::format(path, what));
     };
-    let seen = match (array("visibles")?, array("occluded")?) {
-        (Some(visibles), _) => Some(visibles),
-        (None, Some(occluded)) => {
-            let values = occluded.values.iter().map(|o| 1.0 - o).collect();
-            Some(Array { values, ..occluded })
-        }
-        (None, None) => match array("pred_visibility")? {
-            Some(visibility) => Some(swapped(path, visibility, 0)?),
-            None => None,
-        },
-    };
-    let fits = |array: &Array, shape: [usize; 2], name: &str| match array.shape == shape {
-        true => Ok(()),
-        false => Err(Error::format(
+    let fits = |array: Option<&Array>, shape: [usize; 2], name: &str| match array {
+        Some(array) if array.shape != shape => Err(Error::format(
             path,
             format!("its {name} are of shape {:?}, its tracks ask for {shape:?}", array.shape),
         )),
+        _ => Ok(()),
     };
-    if let Some(seen) = &seen {
-        fits(seen, [points, frames], "visibilities")?;
-    }
-    let queries = array("query_points")?;
-    if let Some(queries) = &queries {
-        fits(queries, [points, 3], "query points")?;
-    }
-    let size = match array("size")? {
-        Some(size) => {
-            let side = |k: usize| size.values.get(k).map(|v| *v as u32);
-            let known = side(0)
-                .zip(side(1))
-                .filter(|(w, h)| range::SIDE.contains(w) && range::SIDE.contains(h));
-            let refused =
-                || Error::format(path, format!("a size of {:?} makes no sense", size.values));
-            Some(known.ok_or_else(refused)?)
-        }
-        None => of_video,
-    };
+    let seen = archive.visibilities()?;
+    fits(seen.as_ref(), [points, frames], "visibilities")?;
+    let queries = archive.array("query_points")?;
+    fits(queries.as_ref(), [points, 3], "query points")?;
+    let size = archive.size()?.or(of_video);
     let point = |i: usize| {
         let at = |frame: usize| {
             let k = 2 * (i * frames + frame);
@@ -136,6 +89,76 @@ pub fn read(path: impl AsRef<Path>) -> Result<Tracks> {
     Ok(Tracks { size, points: (0..points).map(point).collect::<Result<_>>()? })
 }
 
+/// An `.npz` file.
+struct Archive<'a> {
+    path: &'a Path,
+    entries: npy::Archive<'a>,
+    /// The file's size.
+    bytes: usize,
+}
+
+/// Positions of points: points × frames × 2, pixels of an image of `size`, if it is known.
+struct Positions {
+    array: Array,
+    /// What is to be added so that a pixel's centre is at a half.
+    centre: f64,
+    size: Option<(u32, u32)>,
+}
+
+impl Archive<'_> {
+    fn array(&mut self, name: &str) -> Result<Option<Array>> {
+        npy::entry(self.path, &mut self.entries, self.bytes, name)
+    }
+
+    fn positions(&mut self) -> Result<Positions> {
+        if let Some(array) = self.array("tracks")? {
+            return Ok(Positions { array, centre: 0.0, size: None });
+        }
+        if let Some(tracks) = self.array("pred_tracks")? {
+            return Ok(Positions {
+                array: swapped(self.path, tracks, 2)?,
+                centre: 0.5,
+                size: None,
+            });
+        }
+        if let Some(mut array) = self.array("points")? {
+            let shape = npy::shape(self.path, &mut self.entries, "video")?;
+            let (width, height) = video_size(self.path, shape)?;
+            let sides = [f64::from(width), f64::from(height)];
+            array.values.iter_mut().zip(sides.iter().cycle()).for_each(|(v, side)| *v *= side);
+            return Ok(Positions { array, centre: 0.0, size: Some((width, height)) });
+        }
+        let what =
+            "holds neither `tracks` (points × frames × 2) nor `pred_tracks` nor TAP-Vid's `points`";
+        Err(Error::format(self.path, what))
+    }
+
+    /// Per point and frame: above 0.5 where the point is visible.
+    fn visibilities(&mut self) -> Result<Option<Array>> {
+        if let Some(visibles) = self.array("visibles")? {
+            return Ok(Some(visibles));
+        }
+        if let Some(occluded) = self.array("occluded")? {
+            let values = occluded.values.iter().map(|o| 1.0 - o).collect();
+            return Ok(Some(Array { values, ..occluded }));
+        }
+        let visibility = self.array("pred_visibility")?;
+        visibility.map(|visibility| swapped(self.path, visibility, 0)).transpose()
+    }
+
+    /// Width and height of the images that the positions refer to.
+    fn size(&mut self) -> Result<Option<(u32, u32)>> {
+        let Some(size) = self.array("size")? else { return Ok(None) };
+        let side = |k: usize| size.values.get(k).map(|v| *v as u32);
+        let known = side(0)
+            .zip(side(1))
+            .filter(|(w, h)| range::SIDE.contains(w) && range::SIDE.contains(h));
+        let refused =
+            || Error::format(self.path, format!("a size of {:?} makes no sense", size.values));
+        known.ok_or_else(refused).map(Some)
+    }
+}
+
 /// Width and height of TAP-Vid's frames, from the shape of its array `video`.
 fn video_size(path: &Path, shape: Option<Vec<usize>>) -> Result<(u32, u32)> {
     let size = match shape.as_deref() {
@@ -143,7 +166,7 @@ fn video_size(path: &Path, shape: Option<Vec<usize>>) -> Result<(u32, u32)> {
         _ => None,
     };
     size.ok_or_else(|| {
-        let what = "holds `points`, which are shares of a picture's sides, and no `video` (frames × height × \
+        let what = "holds `points`, which are shares of an image's sides, and no `video` (frames × height × \
                     width × 3) that tells the sides";
         Error::format(path, what)
     })

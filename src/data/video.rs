@@ -121,50 +121,43 @@ pub fn decode_with(
         if !harmless {
             let of = seen.as_ref().map_or(0, |seen| chosen(seen).count());
             let missing = seen.as_ref().map_or(0, |seen| seen.missing);
-            let (what, then) = match (bad.first(), missing) {
-                (Some(first), _) => (
-                    format!(
-                        "{} of {of} frames are damaged or lost, the first is frame {first}",
-                        bad.len()
-                    ),
-                    "they are left out",
-                ),
-                (None, 0) => (
-                    "the video is damaged or cut short, and which frames that spoils is not known"
-                        .to_string(),
-                    "all that can be decoded is taken",
-                ),
-                (None, _) => ("the video is cut short".to_string(), "what is there is taken"),
-            };
-            let missing = match missing {
-                0 => String::new(),
-                n => format!("; {n} more are missing"),
-            };
+            let (what, then) = describe(&bad, of, missing);
             if !options.skip_bad {
-                let what = format!("{what}{missing} (ffmpeg: {complaint})");
+                let what = format!("{what} (ffmpeg: {complaint})");
                 return Err(hint_skip(Error::format(path, what)));
             }
-            decoded.notes.push(format!("{what}{missing}; {then} (ffmpeg: {complaint})"));
+            decoded.notes.push(format!("{what}; {then} (ffmpeg: {complaint})"));
         }
         decoded.skipped = bad.len();
         if let Some(seen) = seen.filter(|seen| seen.whole.contains(&false)) {
-            // Missing frames shift the frame numbers, so that counting gives wrong ones.
             drop(taken.frames);
-            let keep = &mut |i: usize| {
-                let number = *seen.decoded.get(i)?;
-                let place = number.checked_sub(range.first)?;
-                let inside = number <= range.last && place / options.every < most;
-                let kept = seen.whole[number] && inside && place % options.every == 0;
-                kept.then_some(number)
-            };
-            taken = source.take(&Select { first: 0, every: 1 }, None, keep)?;
-            if taken.run.decoded != seen.decoded.len() {
-                return Err(Error::format(path, UNTELLABLE));
-            }
+            taken = source.take_whole(&seen, range, most)?;
         }
     }
     decoded.frames = taken.frames;
     Ok(decoded)
+}
+
+/// The damage of a video of which `of` frames are taken: what is damaged, and what is done about it if the
+/// user wants the rest.
+fn describe(bad: &[usize], of: usize, missing: usize) -> (String, &'static str) {
+    let (what, then) = match (bad.first(), missing) {
+        (Some(first), _) => (
+            format!("{} of {of} frames are damaged or lost, the first is frame {first}", bad.len()),
+            "they are left out",
+        ),
+        (None, 0) => (
+            "the video is damaged or cut short, and which frames that spoils is not known"
+                .to_string(),
+            "all that can be decoded is taken",
+        ),
+        (None, _) => ("the video is cut short".to_string(), "what is there is taken"),
+    };
+    let missing = match missing {
+        0 => String::new(),
+        n => format!("; {n} more are missing"),
+    };
+    (what + &missing, then)
 }
 
 /// Size and length of a video, from `ffprobe`.
@@ -371,6 +364,24 @@ impl Source<'_> {
         Ok(Taken { frames, original: original.unwrap_or_default(), run })
     }
 
+    /// Takes at most `most` frames of a range of a damaged video, without those that are not intact.
+    fn take_whole(&self, seen: &damage::Seen, range: Shot, most: usize) -> Result<Taken> {
+        let every = self.options.every;
+        let keep = &mut |i: usize| {
+            let number = *seen.decoded.get(i)?;
+            let place = number.checked_sub(range.first)?;
+            let inside = number <= range.last && place / every < most;
+            let kept = seen.whole[number] && inside && place % every == 0;
+            kept.then_some(number)
+        };
+        // Missing frames shift the frame numbers, so that counting gives wrong ones: all frames are decoded.
+        let taken = self.take(&Select { first: 0, every: 1 }, None, keep)?;
+        if taken.run.decoded != seen.decoded.len() {
+            return Err(Error::format(self.path, UNTELLABLE));
+        }
+        Ok(taken)
+    }
+
     /// Runs ffmpeg with a filter and passes on at most `most` images.
     fn run(&self, filter: &str, most: Option<usize>, each: Each) -> Result<Run> {
         // Frames must come out as they are stored. The option for this was renamed in ffmpeg 5.1, and each
@@ -474,7 +485,7 @@ fn read_ppm(from: &mut impl BufRead) -> std::io::Result<Option<Image>> {
     if from.fill_buf()?.is_empty() {
         return Ok(None);
     }
-    let odd = || std::io::Error::other("ffmpeg gave something else than a PPM picture");
+    let odd = || std::io::Error::other("ffmpeg gave something else than a PPM image");
     let mut words = Vec::new();
     while words.len() < 4 {
         let mut line = Vec::new();

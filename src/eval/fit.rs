@@ -63,7 +63,7 @@ pub fn fit_pose(
     if mask.is_some_and(|m| {
         (m.width, m.height, m.channels) != (truth.width, truth.height, 1) || !chosen(m)
     }) {
-        let what = "fitting a pose needs a mask of the picture's size that chooses some pixels";
+        let what = "fitting a pose needs a mask of the image's size that chooses some pixels";
         return Err(Error::Input(what.into()));
     }
     let mut fit = Fit { start, depth, truth, mask, render, renders: 0 };

@@ -1,7 +1,7 @@
 //! Robust estimation of a camera's pose from world points and their pixels.
 
 use super::p3p::p3p;
-use super::ransac::{Estimator, RansacOptions, ransac};
+use super::ransac::{Consensus, Estimator, RansacOptions, ransac};
 use super::se3::retract;
 use crate::error::{Error, Result};
 use crate::types::{Intrinsics, Pose};
@@ -99,15 +99,8 @@ pub fn pnp_ransac(
         return Err(Error::Shape { op, arg: "weights", expected: expected(), actual: w.len() });
     }
     check_intrinsics(intrinsics)?;
-    let mut data = Correspondences { intrinsics: *intrinsics, huber: options.huber, items: vec![] };
-    let mut origin = Vec::new();
-    for i in 0..points.len() {
-        let weight = weights.map_or(1.0, |w| w[i]);
-        if points[i].is_finite() && pixels[i].is_finite() && weight.is_finite() && weight > 0.0 {
-            data.items.push((points[i], pixels[i], weight));
-            origin.push(i);
-        }
-    }
+    let (items, origin) = usable_items(points, pixels, weights);
+    let data = Correspondences { intrinsics: *intrinsics, huber: options.huber, items };
     let usable = data.items.len();
     let fewest = options.min_inliers.max(4);
     if usable < fewest {
@@ -135,20 +128,8 @@ pub fn pnp_ransac(
         ))
     };
     let consensus = ransac(&data, &search, &guesses).ok_or_else(|| failed(0))?;
-    let mut pose = consensus.model;
-    let mut inliers = consensus.inliers;
-    // The refined pose may gain or lose inliers; a few rounds suffice to converge.
-    for _ in 0..4 {
-        if inliers.len() < fewest {
-            break;
-        }
-        pose = data.minimise(&pose, &inliers, 20).0;
-        let next = data.within(&pose, options.threshold);
-        if next == inliers {
-            break;
-        }
-        inliers = next;
-    }
+    let iterations = consensus.iterations;
+    let (pose, inliers) = data.settle(consensus, fewest, options.threshold);
     let ratio = inliers.len() as f64 / usable as f64;
     if inliers.len() < fewest || ratio < options.min_inlier_ratio {
         return Err(failed(inliers.len()));
@@ -167,7 +148,7 @@ pub fn pnp_ransac(
         inlier_ratio: ratio,
         rmse,
         covariance: bounded_inverse(&hessian) * variance,
-        iterations: consensus.iterations,
+        iterations,
     })
 }
 
@@ -237,6 +218,19 @@ fn bounded_inverse(hessian: &Matrix6<f64>) -> Matrix6<f64> {
     eigen.eigenvectors * Matrix6::from_diagonal(&inverse) * eigen.eigenvectors.transpose()
 }
 
+/// The finite correspondences of positive weight (1 without weights), and the index of each.
+fn usable_items(
+    points: &[DVec3],
+    pixels: &[DVec2],
+    weights: Option<&[f64]>,
+) -> (Vec<(DVec3, DVec2, f64)>, Vec<usize>) {
+    let item = |i: usize| (points[i], pixels[i], weights.map_or(1.0, |w| w[i]));
+    let usable = |(point, pixel, weight): (DVec3, DVec2, f64)| {
+        point.is_finite() && pixel.is_finite() && weight.is_finite() && weight > 0.0
+    };
+    (0..points.len()).map(|i| (item(i), i)).filter(|(item, _)| usable(*item)).unzip()
+}
+
 struct Correspondences {
     intrinsics: Intrinsics,
     huber: f64,
@@ -283,6 +277,29 @@ impl Correspondences {
             count += 1;
         }
         (h, g, count)
+    }
+
+    /// Refines the pose of a consensus on its inliers, and the inliers with it.
+    fn settle(
+        &self,
+        consensus: Consensus<Pose>,
+        fewest: usize,
+        threshold: f64,
+    ) -> (Pose, Vec<usize>) {
+        let Consensus { model: mut pose, mut inliers, .. } = consensus;
+        // The refined pose may gain or lose inliers; a few rounds suffice to converge.
+        for _ in 0..4 {
+            if inliers.len() < fewest {
+                break;
+            }
+            pose = self.minimise(&pose, &inliers, 20).0;
+            let next = self.within(&pose, threshold);
+            if next == inliers {
+                break;
+            }
+            inliers = next;
+        }
+        (pose, inliers)
     }
 
     fn minimise(&self, start: &Pose, subset: &[usize], steps: usize) -> (Pose, f64) {

@@ -81,6 +81,9 @@ pub struct TwoView {
 /// Minimum number of pairs for a relative pose: five determine it, three more verify it.
 const FEWEST: usize = 8;
 
+/// The name in error messages.
+const OP: &str = "two-view geometry";
+
 /// Estimates the relative pose of two images from pixel pairs with outliers.
 ///
 /// Five-point algorithm within RANSAC (MSAC, locally optimised on Sampson distances), compared with a pure
@@ -98,30 +101,20 @@ pub fn two_view(
     kb: &Intrinsics,
     options: &TwoViewOptions,
 ) -> Result<TwoView> {
-    let op = "two-view geometry";
-    let expected = || format!("{}, one for each pixel of the first image", pixels_a.len());
-    if pixels_b.len() != pixels_a.len() {
-        let actual = pixels_b.len();
-        return Err(Error::Shape { op, arg: "pixels of b", expected: expected(), actual });
-    }
-    if let Some(w) = weights
-        && w.len() != pixels_a.len()
-    {
-        return Err(Error::Shape { op, arg: "weights", expected: expected(), actual: w.len() });
-    }
+    check_lengths(pixels_a.len(), pixels_b.len(), weights)?;
     check_intrinsics(ka)?;
     check_intrinsics(kb)?;
     let pairs = Pairs::gather(pixels_a, pixels_b, weights, ka, kb);
     let usable = pairs.pixels.len();
     if usable < FEWEST {
         return Err(Error::Failed(format!(
-            "{op}: {usable} usable pixel pairs of {}, needs {FEWEST}",
+            "{OP}: {usable} usable pixel pairs of {}, needs {FEWEST}",
             pixels_a.len()
         )));
     }
     let failed = |found: usize| {
         Error::Failed(format!(
-            "{op}: the best relative pose agrees with {found} of {usable} pixel pairs within \
+            "{OP}: the best relative pose agrees with {found} of {usable} pixel pairs within \
              {:.2} px; the images may not overlap, or most of them moves",
             options.ransac.threshold
         ))
@@ -171,35 +164,17 @@ pub fn two_view(
     if !enough(inliers.len()) {
         return Err(failed(inliers.len()));
     }
-    let on_plane = ransac(&Plane(&pairs), &options.ransac, &[]).map_or(0, |h| {
-        let inverse = h.model.inverse();
-        let limit = options.ransac.threshold.powi(2);
-        inliers
-            .iter()
-            .filter(|&&i| {
-                let (a, b) = pairs.pixels[i];
-                transfer_squared(&h.model, &inverse, a, b) < limit
-            })
-            .count()
-    });
-    let homography_ratio = on_plane as f64 / inliers.len() as f64;
+    let homography_ratio =
+        pairs.on_a_plane(&inliers, &options.ransac) as f64 / inliers.len() as f64;
     let planar = homography_ratio >= options.planar_ratio;
-    let f = fundamental_from_essential(&essential_from_pose(&pose), ka, kb);
-    let squared: f64 =
-        inliers.iter().map(|&i| sampson_squared(&f, pairs.pixels[i].0, pairs.pixels[i].1)).sum();
-    let angles = inliers
-        .iter()
-        .filter_map(|&i| triangulate(&[(Pose::IDENTITY, pairs.rays[i].0), (pose, pairs.rays[i].1)]))
-        .map(|t| t.parallax.to_degrees())
-        .collect();
     Ok(TwoView {
         b_from_a: pose,
         motion: if planar { Motion::Planar } else { Motion::General },
         inlier_ratio: inliers.len() as f64 / usable as f64,
-        rmse: (squared / inliers.len() as f64).sqrt(),
+        rmse: pairs.sampson_rms(&pose, &inliers),
         displacement_px,
         parallax_px,
-        parallax_deg: median(angles),
+        parallax_deg: pairs.median_angle(&pose, &inliers),
         homography_ratio,
         inliers: pairs.mask(&inliers, pixels_a.len()),
     })
@@ -266,6 +241,18 @@ fn settle(
 }
 
 /// The usable pairs.
+/// Checks the lengths of the second image's pixels and of the weights against the first image's pixels.
+fn check_lengths(first: usize, second: usize, weights: Option<&[f64]>) -> Result<()> {
+    for (arg, actual) in [("pixels of b", second), ("weights", weights.map_or(first, <[f64]>::len))]
+    {
+        if actual != first {
+            let expected = format!("{first}, one for each pixel of the first image");
+            return Err(Error::Shape { op: OP, arg, expected, actual });
+        }
+    }
+    Ok(())
+}
+
 struct Pairs {
     pixels: Vec<(DVec2, DVec2)>,
     rays: Vec<(DVec3, DVec3)>,
@@ -320,6 +307,33 @@ impl Pairs {
     fn meets(&self, pose: &Pose, i: usize) -> bool {
         let (a, b) = self.rays[i];
         in_front(pose, a, b) || self.turned(pose.rotation, i) < 1.0
+    }
+
+    /// The number of inliers that fit the best homography of all pairs.
+    fn on_a_plane(&self, inliers: &[usize], options: &RansacOptions) -> usize {
+        ransac(&Plane(self), options, &[]).map_or(0, |h| {
+            let inverse = h.model.inverse();
+            let limit = options.threshold.powi(2);
+            let fits = |i: usize| {
+                let (a, b) = self.pixels[i];
+                transfer_squared(&h.model, &inverse, a, b) < limit
+            };
+            inliers.iter().filter(|&&i| fits(i)).count()
+        })
+    }
+
+    /// Root mean square Sampson distance, pixels.
+    fn sampson_rms(&self, pose: &Pose, inliers: &[usize]) -> f64 {
+        let f = fundamental_from_essential(&essential_from_pose(pose), &self.ka, &self.kb);
+        let squared = |&i: &usize| sampson_squared(&f, self.pixels[i].0, self.pixels[i].1);
+        (inliers.iter().map(squared).sum::<f64>() / inliers.len() as f64).sqrt()
+    }
+
+    /// Median angle between the rays of the pairs that meet, degrees.
+    fn median_angle(&self, pose: &Pose, inliers: &[usize]) -> f64 {
+        let rays = |i: usize| [(Pose::IDENTITY, self.rays[i].0), (*pose, self.rays[i].1)];
+        let met = inliers.iter().filter_map(|&i| triangulate(&rays(i)));
+        median(met.map(|t| t.parallax.to_degrees()).collect())
     }
 
     fn without_translation(

@@ -450,28 +450,22 @@ impl Device {
     }
 }
 
+/// The kinds of GPUs, the preferred first.
+const GPUS: [DeviceKind; 3] = [DeviceKind::Discrete, DeviceKind::Integrated, DeviceKind::Virtual];
+
 fn choose(infos: &[DeviceInfo], selector: &Selector) -> Result<usize> {
-    let rank = |info: &DeviceInfo| match info.kind {
-        DeviceKind::Discrete => 0,
-        DeviceKind::Integrated => 1,
-        DeviceKind::Virtual => 2,
-        DeviceKind::Other => 3,
-        DeviceKind::Software => 4,
-    };
-    let all = 0..infos.len();
-    let is_gpu = |i: &usize| {
-        use DeviceKind::{Discrete, Integrated, Virtual};
-        matches!(infos[*i].kind, Discrete | Integrated | Virtual)
-    };
+    let first_of = |kind: &DeviceKind| infos.iter().position(|info| info.kind == *kind);
     let found = match selector {
-        Selector::Best => all.min_by_key(|&i| rank(&infos[i])),
-        Selector::Gpu => all.filter(is_gpu).min_by_key(|&i| rank(&infos[i])),
+        Selector::Best => {
+            GPUS.iter().chain(&[DeviceKind::Other, DeviceKind::Software]).find_map(first_of)
+        }
+        Selector::Gpu => GPUS.iter().find_map(first_of),
         Selector::Index(index) => (*index < infos.len()).then_some(*index),
         Selector::Name(part) => {
             let part = part.to_lowercase();
             infos.iter().position(|info| info.name.to_lowercase().contains(&part))
         }
-        Selector::Kind(kind) => infos.iter().position(|info| info.kind == *kind),
+        Selector::Kind(kind) => first_of(kind),
     };
     found.ok_or_else(|| {
         let names: Vec<_> =

@@ -434,7 +434,7 @@ mod tests {
         assert_eq!(confidence[2], 0.0, "2⁻⁹ counts as none");
         assert_eq!(confidence[3], 0.0, "a way back that is no number");
         assert_eq!(confidence[5], 1.0);
-        assert_eq!(confidence[7], 0.0, "it leaves the picture by more than half a pixel");
+        assert_eq!(confidence[7], 0.0, "it leaves the image by more than half a pixel");
 
         let own = Image { width: 8, height: 1, channels: 1, pixels: vec![0.25; 8] };
         assert_eq!(checked(&there, &back, Some(&own)).0.0[0][2], 0.25);

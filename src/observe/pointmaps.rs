@@ -251,7 +251,7 @@ fn check(maps: &PairMaps, (width, height): (u32, u32)) -> Result<()> {
     for (map, channels) in all {
         if (map.width, map.height, map.channels) != (width, height, channels) {
             return Err(Error::Input(format!(
-                "a pointmap is {}×{} with {} channels, of pictures of {width}×{height}; {channels} channels of that \
+                "a pointmap is {}×{} with {} channels, of images of {width}×{height}; {channels} channels of that \
                  size were expected",
                 map.width, map.height, map.channels
             )));

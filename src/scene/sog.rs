@@ -113,7 +113,7 @@ impl Files<'_> {
         let path = self.path();
         let bad = |e: image::ImageError| {
             let what = excerpt(&e.to_string());
-            Error::format(path, format!("its picture {} cannot be read: {what}", excerpt(name)))
+            Error::format(path, format!("its image {} cannot be read: {what}", excerpt(name)))
         };
         let reader = ImageReader::new(Cursor::new(&bytes)).with_guessed_format();
         let decoder = reader.map_err(Error::io(path))?.into_decoder().map_err(bad)?;
@@ -123,7 +123,7 @@ impl Files<'_> {
         if size < pixels as u64 {
             return Err(Error::format(
                 path,
-                format!("its picture {} has {size} pixels, fewer than {pixels}", excerpt(name)),
+                format!("its image {} has {size} pixels, fewer than {pixels}", excerpt(name)),
             ));
         }
         Ok(DynamicImage::from_decoder(decoder).map_err(bad)?.into_rgba8())

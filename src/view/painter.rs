@@ -58,7 +58,7 @@ impl Painter {
         let (camera, time) = request.checked().map_err(Error::Input)?;
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
         let pixels = u64::from(width) * u64::from(height);
-        check_memory(pixels * BYTES_A_PIXEL, &format!("a picture of {width}×{height}"))?;
+        check_memory(pixels * BYTES_A_PIXEL, &format!("an image of {width}×{height}"))?;
         let begun = Instant::now();
         let (picture, range) = self.picture(request.layer, &camera, time)?;
         let points = match request.points {
@@ -179,7 +179,7 @@ pub fn pack(picture: &Image, format: Format, quality: u8, into: &mut Vec<u8>) ->
             PngEncoder::new(&mut sink).write_image(&bytes, picture.width, picture.height, colour)
         }
     };
-    packed.map_err(|error| Error::Failed(format!("a picture cannot be packed: {error}")))
+    packed.map_err(|error| Error::Failed(format!("an image cannot be packed: {error}")))
 }
 
 #[cfg(test)]

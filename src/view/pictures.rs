@@ -59,7 +59,7 @@ impl Pictures {
         let (width, height) = video::extent(path)?.size;
         let (width, height) = Resize::Longest(LONGEST).target(width, height);
         let bytes = f64::from(width) * f64::from(height) * JPEG_BYTES;
-        let what = format!("{} pictures of {width}×{height} beside the scene", numbers.len());
+        let what = format!("{} images of {width}×{height} beside the scene", numbers.len());
         check_memory((numbers.len() as f64 * bytes) as u64, &what)?;
         let mut packed = Vec::with_capacity(numbers.len());
         video::frames(path, numbers, &mut |_, picture| {

@@ -132,7 +132,7 @@ impl Request {
         let pixels = u64::from(width) * u64::from(height);
         if width > MOST_SIDE || height > MOST_SIDE || pixels > MOST_PIXELS {
             return Err(format!(
-                "a picture of {width}×{height} was asked for; at most {MOST_SIDE} pixels a side and \
+                "an image of {width}×{height} was asked for; at most {MOST_SIDE} pixels a side and \
                  {MOST_PIXELS} in all are made"
             ));
         }

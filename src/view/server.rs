@@ -140,7 +140,7 @@ impl Server {
         let thread = |name: &str| std::thread::Builder::new().name(name.into());
         let painting = {
             let turns = turns.clone();
-            thread("view: pictures").spawn(move || easel.paint(&turns))
+            thread("view: images").spawn(move || easel.paint(&turns))
         };
         let mut server =
             Server { url, port: address.port(), turns, stop, network: None, painting: None };
@@ -190,7 +190,7 @@ impl Server {
         }
         match self.painting.take().map(JoinHandle::join) {
             Some(Ok(done)) => done,
-            Some(Err(_)) => Err(Error::Failed("the thread that makes pictures panicked".into())),
+            Some(Err(_)) => Err(Error::Failed("the thread that makes images panicked".into())),
             None => Ok(()),
         }
     }
@@ -245,7 +245,7 @@ impl Easel {
             let pixels = u64::from(request.camera.width) * u64::from(request.camera.height);
             if pixels > MOST_LIVE_PIXELS {
                 return Err(Error::Input(format!(
-                    "a picture of {}×{} was asked for; at most {MOST_LIVE_PIXELS} pixels are made \
+                    "an image of {}×{} was asked for; at most {MOST_LIVE_PIXELS} pixels are made \
                      while a scene is trained",
                     request.camera.width, request.camera.height
                 )));
@@ -359,7 +359,7 @@ impl Desk {
             Ok(Ok(None)) => StatusCode::NOT_FOUND.into_response(),
             // Error messages contain the file's path, which must not leave this machine.
             Ok(Err(_)) | Err(_) => {
-                (StatusCode::INTERNAL_SERVER_ERROR, "the picture cannot be read").into_response()
+                (StatusCode::INTERNAL_SERVER_ERROR, "the image cannot be read").into_response()
             }
         }
     }

@@ -109,6 +109,31 @@ pub struct ImportedMemory {
 }
 
 #[cfg(unix)]
+impl ImportedMemory {
+    /// Whether it can hold a buffer; an error says why not.
+    fn check(&self, needs: &vk::MemoryRequirements) -> std::result::Result<(), String> {
+        // The mask of memory types has 32 bits.
+        if self.memory_type >= 32 {
+            return Err(format!("memory type {} does not exist", self.memory_type));
+        }
+        if needs.memory_type_bits & 1 << self.memory_type == 0 {
+            return Err(format!("memory type {} holds no buffers", self.memory_type));
+        }
+        if !self.offset.is_multiple_of(needs.alignment) {
+            let (offset, alignment) = (self.offset, needs.alignment);
+            return Err(format!("offset {offset} is not a multiple of {alignment} bytes"));
+        }
+        if self.offset.checked_add(needs.size).is_none_or(|end| end > self.allocation_bytes) {
+            return Err(format!(
+                "{} bytes from byte {} on: the allocation has {}",
+                needs.size, self.offset, self.allocation_bytes
+            ));
+        }
+        Ok(())
+    }
+}
+
+#[cfg(unix)]
 impl RawBuffer {
     /// A buffer of `bytes` in imported memory.
     pub(crate) fn import(
@@ -131,10 +156,6 @@ impl RawBuffer {
         let wrong = |what: String| Error::Input(format!("imported memory for {label}: {what}"));
         if bytes == 0 || !bytes.is_multiple_of(4) {
             return Err(wrong(format!("{bytes} bytes: it must be whole words, and some")));
-        }
-        // The mask of memory types has 32 bits.
-        if memory.memory_type >= 32 {
-            return Err(wrong(format!("memory type {} does not exist", memory.memory_type)));
         }
         let device = &context.raw;
         let usage =
@@ -162,19 +183,7 @@ impl RawBuffer {
         };
         // SAFETY: just created.
         let needs = unsafe { device.get_buffer_memory_requirements(raw) };
-        if needs.memory_type_bits & 1 << memory.memory_type == 0 {
-            return Err(wrong(format!("memory type {} holds no buffers", memory.memory_type)));
-        }
-        if !memory.offset.is_multiple_of(needs.alignment) {
-            let (offset, alignment) = (memory.offset, needs.alignment);
-            return Err(wrong(format!("offset {offset} is not a multiple of {alignment} bytes")));
-        }
-        if memory.offset.checked_add(needs.size).is_none_or(|end| end > memory.allocation_bytes) {
-            return Err(wrong(format!(
-                "{} bytes from byte {} on: the allocation has {}",
-                needs.size, memory.offset, memory.allocation_bytes
-            )));
-        }
+        memory.check(&needs).map_err(wrong)?;
         let mut import =
             vk::ImportMemoryFdInfoKHR::default().handle_type(kind).fd(memory.fd.as_raw_fd());
         let info = vk::MemoryAllocateInfo::default()

@@ -306,7 +306,7 @@ static void trainers(splat4d_device *device)
     OK(splat4d_trainer_create(device, &g, NULL, 0, 1, &settings, &trainer));
     OK(splat4d_stream_create(device, &stream));
     OK(splat4d_stream_record(stream, &recorder));
-    FAILS(SPLAT4D_ERROR_INPUT, "pictures", splat4d_trainer_step(trainer));
+    FAILS(SPLAT4D_ERROR_INPUT, "images", splat4d_trainer_step(trainer));
     FAILS(SPLAT4D_ERROR_INPUT, "conclude", splat4d_trainer_conclude(trainer, NULL));
     FAILS(SPLAT4D_ERROR_INPUT, "update", splat4d_trainer_update(trainer, recorder));
     FAILS(SPLAT4D_ERROR_INPUT, "pixels", splat4d_trainer_get_pixels(trainer, &pixels));

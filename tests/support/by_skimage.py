@@ -1,7 +1,7 @@
-"""What scikit-image measures of pictures, for tests/table.rs.
+"""What scikit-image measures of images, for tests/table.rs.
 
 Reads a JSON list of cases on standard input and writes one of results, in the same order. A case is a `sheet`, a PNG
-with the truth, the picture and their difference side by side, or a `truth` and a `picture`, files of 32-bit floats of a
+with the truth, the image and their difference side by side, or a `truth` and a `picture`, files of 32-bit floats of a
 `shape`; with a `mask`, a PNG, PSNR and SSIM of the pixels that are white there come along as `masked_psnr` and
 `masked_ssim`.
 """
@@ -13,7 +13,7 @@ import numpy as np
 from skimage.io import imread
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
-# Beyond the border there are zeros for SSIM's window of 11 pixels; scikit-image itself mirrors the picture there.
+# Beyond the border there are zeros for SSIM's window of 11 pixels; scikit-image itself mirrors the image there.
 BORDER = 5
 
 

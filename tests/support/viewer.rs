@@ -160,7 +160,7 @@ impl Client {
     pub fn picture(&mut self) -> (Header, Vec<[f32; 4]>, Image) {
         match self.hear() {
             Sent::Picture(header, points, image) => (header, points, image),
-            other => panic!("a picture was expected: {other:?}"),
+            other => panic!("an image was expected: {other:?}"),
         }
     }
 

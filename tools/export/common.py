@@ -1,4 +1,4 @@
-"""What the exporters share: the command line, loading of weights, pictures, the export itself and its proof.
+"""What the exporters share: the command line, loading of weights, images, the export itself and its proof.
 
 An exporter describes each file as a `Graph`. `write` exports all of them to files beside the final ones, runs each
 through the ONNX Runtime and compares with what the upstream code computes, before anything was replaced in it.
@@ -76,7 +76,7 @@ def arguments(description, example, repo, weights="the checkpoint", flag="--chec
                         help="random weights of the real architecture, for tests")
     parser.add_argument("--seed", type=int, default=0, help="of random weights [default: 0]")
     parser.add_argument("--images", type=Path, metavar="DIR", required=True,
-                        help="pictures on which ONNX Runtime and PyTorch are compared; at least two, for networks "
+                        help="images on which ONNX Runtime and PyTorch are compared; at least two, for networks "
                         "of pairs in the order of a video")
     parser.add_argument("--opset", type=int, choices=range(16, 21), default=17,
                         help="the ONNX operator set, 16 to 20 [default: 17]", metavar="N")
@@ -103,7 +103,7 @@ def size(text):
 
 
 def shorter_side(text):
-    """Reads the shorter side of a picture."""
+    """Reads the shorter side of an image."""
     try:
         pixels = int(text)
     except ValueError:
@@ -114,14 +114,14 @@ def shorter_side(text):
 
 
 def add_shorter(parser, default):
-    """The option for the size at which a network for pictures of any size is run."""
+    """The option for the size at which a network for images of any size is run."""
     parser.add_argument("--shorter", type=shorter_side, default=default, metavar="PIXELS",
                         help="the shorter side at which splat4d is to run it; 0: the frame's own "
                         f"[default: {default}]")
 
 
 def add_sizes(parser, multiple):
-    """The option for the sizes at which a network for pictures of any size is compared."""
+    """The option for the sizes at which a network for images of any size is compared."""
     parser.add_argument("--sizes", type=size, nargs="+", default=[(512, 288), (384, 256)], metavar="WxH",
                         help="sizes at which it is compared, at least two, taken to the nearest multiples of "
                         f"{multiple} [default: 512x288 384x256]")
@@ -296,27 +296,27 @@ def settle(module, *inputs):
         layer.momentum = momentum
 
 
-# Pictures
+# Images
 
 
 def files(images, count):
-    """The first pictures of a folder, by name."""
+    """The first images of a folder, by name."""
     if not images.is_dir():
         raise Mistake(f"--images {images}: there is no such folder")
     kinds = {".png", ".jpg", ".jpeg", ".webp", ".bmp"}
     found = sorted(path for path in images.iterdir() if path.suffix.lower() in kinds)
     if len(found) < count:
-        raise Mistake(f"--images {images}: {count} pictures are needed, it has {len(found)}")
+        raise Mistake(f"--images {images}: {count} images are needed, it has {len(found)}")
     return found[:count]
 
 
 def picture(path, both, rule):
-    """A picture as splat4d makes it by a contract's rule, at a given width and height: 1 × 3 × height × width."""
+    """An image as splat4d makes it by a contract's rule, at a given width and height: 1 × 3 × height × width."""
     try:
         with Image.open(path) as opened:
             image = opened.convert("RGB").resize(both, Image.Resampling.BICUBIC)
     except OSError as error:
-        raise Mistake(f"{path} is no picture: {error}") from error
+        raise Mistake(f"{path} is no image: {error}") from error
     pixels = np.asarray(image, np.float32) / 255 * rule.get("white", 1.0)
     pixels = (pixels - np.float32(rule.get("mean", [0] * 3))) / np.float32(rule.get("deviation", [1] * 3))
     return torch.from_numpy(pixels.transpose(2, 0, 1)[None].astype(np.float32))

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Depth Anything V2: relative inverse depth of one picture, or metric depth with the metric checkpoints."""
+"""Depth Anything V2: relative inverse depth of one image, or metric depth with the metric checkpoints."""
 
 from pathlib import Path
 
@@ -39,7 +39,7 @@ def resampling(places, scale, size):
 
 
 def position_embedding(self, x, width, height):
-    """The embedding of positions at the picture's size, by products of matrices that are made within the graph.
+    """The embedding of positions at the image's size, by products of matrices that are made within the graph.
 
     Upstream's interpolation takes its factor as a number of Python, so that its graph is right for one size only.
     What upstream calls width is the first of the two axes.

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""LPIPS: how far apart two pictures look, by the AlexNet, VGG or SqueezeNet variant."""
+"""LPIPS: how far apart two images look, by the AlexNet, VGG or SqueezeNet variant."""
 
 from pathlib import Path
 
@@ -8,7 +8,7 @@ import torch
 import common
 from common import Graph, Mistake
 
-# The pictures are in [-1, 1]; what the backbones were trained with is taken off within the graph.
+# The images are in [-1, 1]; what the backbones were trained with is taken off within the graph.
 RULE = {"mean": [0.5] * 3, "deviation": [0.5] * 3}
 INPUTS = ["first", "second"]
 # Least side for which the backbone's last layer has a value.

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""MonST3R and DUSt3R: an encoder of one picture and a decoder of the points of two pictures, in the first's frame."""
+"""MonST3R and DUSt3R: an encoder of one image and a decoder of the points of two images, in the first's frame."""
 
 from math import inf
 from pathlib import Path
@@ -56,7 +56,7 @@ def rotation(rows, columns, base):
 
 
 def encode(network, image):
-    """The tokens of a landscape picture, without upstream's sorting of a batch into landscape and portrait."""
+    """The tokens of a landscape image, without upstream's sorting of a batch into landscape and portrait."""
     embedding = network.patch_embed
     tokens = embedding.norm(embedding.proj(image).flatten(2).transpose(1, 2))
     for block in network.enc_blocks:
@@ -65,7 +65,7 @@ def encode(network, image):
 
 
 def decoder(height, width):
-    """Points and confidence of two pictures from their tokens."""
+    """Points and confidence of two images from their tokens."""
 
     def decode(network, first, second):
         layers = network._decoder(first, None, second, None)
@@ -77,7 +77,7 @@ def decoder(height, width):
 
 
 def upstream(network, first, second):
-    """What the network itself says of two pictures: as the decoder's outputs, and the tokens of both."""
+    """What the network itself says of two images: as the decoder's outputs, and the tokens of both."""
     shape = torch.tensor([first.shape[-2:]])
     views = [{"img": picture, "true_shape": shape, "instance": [str(i)]} for i, picture in enumerate((first, second))]
     one, two = network(*views)
@@ -94,7 +94,7 @@ def run():
         repo="the clone of monst3r or dust3r, with its submodule croco",
     )
     parser.add_argument("--size", type=common.size, default=(512, 288), metavar="WxH",
-                        help="the pictures' size, landscape, multiples of 16; the longer side 512 [default: 512x288]")
+                        help="the images' size, landscape, multiples of 16; the longer side 512 [default: 512x288]")
     parser.add_argument("-o", "--output", required=True, metavar="NAME",
                         help="writes NAME.encoder.onnx and NAME.decoder.onnx")
     given = common.parse(parser)

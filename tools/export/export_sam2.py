@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""SAM 2 and 2.1 for single pictures: an encoder of the picture and a decoder of masks from prompts."""
+"""SAM 2 and 2.1 for single images: an encoder of the image and a decoder of masks from prompts."""
 
 from pathlib import Path
 
@@ -19,10 +19,10 @@ MASK = 256
 
 
 def encode(network, image):
-    """What the decoder needs of a picture, from fine to coarse."""
+    """What the decoder needs of an image, from fine to coarse."""
     fine, middle, coarse = network.forward_image(image)["backbone_fpn"][-3:]
     if network.directly_add_no_mem_embed:
-        # A picture by itself remembers nothing.
+        # An image by itself remembers nothing.
         coarse = coarse + network.no_mem_embed.reshape(1, -1, 1, 1)
     return fine, middle, coarse
 
@@ -57,7 +57,7 @@ def position_embedding(self, sides):
 
 
 def predicted(predictor, image):
-    """What upstream's own predictor keeps of a picture, which is made already."""
+    """What upstream's own predictor keeps of an image, which is made already."""
     predictor._transforms = lambda _: image[0]
     predictor.set_image(np.zeros((SIDE, SIDE, 3), np.uint8))
     kept = predictor._features
@@ -137,7 +137,7 @@ def run():
         [encoder, decoder],
         given.opset,
         (type(model.image_encoder.trunk), "_get_pos_embed", position_embedding),
-        # Of one picture nothing is repeated; ONNX would count the repetitions when it runs.
+        # Of one image nothing is repeated; ONNX would count the repetitions when it runs.
         (torch, "repeat_interleave", lambda x, repeats, dim=None: x),
     )
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""SEA-RAFT: optical flow from one picture to another, and how sure it is."""
+"""SEA-RAFT: optical flow from one image to another, and how sure it is."""
 
 import argparse
 import json
@@ -45,7 +45,7 @@ def configuration(path):
 
 
 def estimator(config, half):
-    """Flow and confidence by a network, at the pictures' size or at half of it."""
+    """Flow and confidence by a network, at the images' size or at half of it."""
 
     def estimate(network, first, second):
         resize = torch.nn.functional.interpolate
@@ -79,7 +79,7 @@ def run():
     parser.add_argument("--iterations", type=int, metavar="N",
                         help="how often the flow is refined [default: as the configuration says]")
     parser.add_argument("--half", action="store_true",
-                        help="estimate at half the pictures' size: for frames of about 1080 rows, as upstream's "
+                        help="estimate at half the images' size: for frames of about 1080 rows, as upstream's "
                         "configurations for Spring do with their scale of -1")
     common.add_sizes(parser, STRIDE)
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help="the file to write")

@@ -34,7 +34,7 @@ def network(repo):
 def cells(x, side):
     """The pixels of each cell, row by row, as channels.
 
-    In place of upstream's unfolding, whose sizes would be those of the picture that was traced.
+    In place of upstream's unfolding, whose sizes would be those of the image that was traced.
     """
     _, _, height, width = x.shape
     x = x.reshape(1, 1, height // side, side, width // side, side)

@@ -34,7 +34,7 @@ options.add_session_config_entry("session.intra_op.allow_spinning", "0")
 session = onnxruntime.InferenceSession(str(given.file), options, providers=["CPUExecutionProvider"])
 contract = json.loads(session.get_modelmeta().custom_metadata_map["splat4d"])
 multiple = contract.get("picture", {}).get("multiple", 1)
-# Axes are known by their names: of pictures height and width, of prompts a few.
+# Axes are known by their names: of images height and width, of prompts a few.
 width, height = (math.ceil(int(side) / multiple) * multiple for side in given.size.split("x"))
 free = {"height": height, "width": width, "prompts": 2}
 noise = np.random.default_rng(0)

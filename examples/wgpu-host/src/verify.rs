@@ -97,7 +97,7 @@ impl Judge {
         }
         let Tally { over_triangle, triangle, background, .. } = tally;
         if [over_triangle, triangle, background].iter().any(|&pixels| pixels < 500) {
-            return Err(format!("the picture shows too little of what it tests: {tally}").into());
+            return Err(format!("the image shows too little of what it tests: {tally}").into());
         }
         Ok(tally)
     }

@@ -31,7 +31,7 @@ use rayon::prelude::*;
 use crate::error::{Error, Result};
 use crate::io::check_memory;
 use crate::types::{Camera, Image, Intrinsics, PointPath, Pose, Tracks};
-use render::{Geometry, Moment};
+use render::{Geometry, Moment, Truth};
 use scene::Scene;
 use trace::Hit;
 
@@ -150,6 +150,21 @@ impl Clip {
     pub fn camera(&self, frame: usize) -> Camera {
         Camera { intrinsics: self.intrinsics, view_from_world: self.view_from_world[frame] }
     }
+
+    /// Appends a frame's ground truth; with a frame `before` it, the first flow leads there.
+    fn push_truth(&mut self, truth: Truth, before: bool) {
+        self.depth.push(truth.depth);
+        self.masks.push(truth.mask);
+        let mut flows = truth.flows.into_iter();
+        if let Some(backward) = before.then(|| flows.next()).flatten() {
+            self.flow_backward.push(backward.flow);
+            self.visible_backward.push(backward.visible);
+        }
+        if let Some(forward) = flows.next() {
+            self.flow_forward.push(forward.flow);
+            self.visible_forward.push(forward.visible);
+        }
+    }
 }
 
 /// Renders one of the clips [`NAMES`].
@@ -227,21 +242,12 @@ fn rendered(name: &str, options: &SynthOptions, scene: Scene) -> Result<Clip> {
         }),
         coded: false,
     };
-    let pixels = grid(width, height);
-    let mut followed: Vec<(usize, DVec2, Hit)> = Vec::new();
-    for frame in BTreeSet::from([0, frames / 2, frames - 1]) {
-        let moment = geometry.at(times[frame]);
-        let hits = geometry.hits((&moment, &camera(times[frame], DVec3::ZERO)), &pixels);
-        let met = pixels.iter().zip(hits).filter_map(|(pixel, hit)| Some((frame, *pixel, hit?)));
-        followed.extend(met);
-    }
-    let point = |(frame, pixel, _): &(usize, DVec2, Hit)| PointPath {
-        query: (*frame, *pixel),
-        ..PointPath::default()
-    };
-    clip.tracks.points = followed.iter().map(point).collect();
-    let mut held_out_depth: [Vec<Image>; HELD_OUT.len()] = Default::default();
     let cameras: Vec<Camera> = times.iter().map(|t| camera(*t, DVec3::ZERO)).collect();
+    let (queries, followed): (Vec<_>, Vec<_>) =
+        points_to_follow(&geometry, &times, &cameras).into_iter().unzip();
+    let point = |query| PointPath { query, ..PointPath::default() };
+    clip.tracks.points = queries.into_iter().map(point).collect();
+    let mut held_out_depth: [Vec<Image>; HELD_OUT.len()] = Default::default();
     // The current frame with its neighbours; the geometry of all frames is not kept.
     let mut window: [Option<Moment>; 3] = [None, None, Some(geometry.at(times[0]))];
     for here in 0..frames {
@@ -249,7 +255,7 @@ fn rendered(name: &str, options: &SynthOptions, scene: Scene) -> Result<Clip> {
         window[2] = times.get(here + 1).map(|time| geometry.at(*time));
         let [before, Some(now), after] = &window else { break };
         clip.frames.push(geometry.picture(now, &cameras[here]));
-        let places = geometry.places(followed.iter().map(|(.., hit)| hit), (now, &cameras[here]));
+        let places = geometry.places(followed.iter(), (now, &cameras[here]));
         for (point, (pixel, seen)) in clip.tracks.points.iter_mut().zip(places) {
             point.pixels.push(pixel);
             point.seen.push(seen);
@@ -267,17 +273,7 @@ fn rendered(name: &str, options: &SynthOptions, scene: Scene) -> Result<Clip> {
         let forward = after.iter().map(|moment| (moment, &cameras[here + 1]));
         let others: Vec<_> = backward.chain(forward).collect();
         let truth = geometry.truth((now, &cameras[here]), &others);
-        clip.depth.push(truth.depth);
-        clip.masks.push(truth.mask);
-        let mut flows = truth.flows.into_iter();
-        if let Some(backward) = before.as_ref().and_then(|_| flows.next()) {
-            clip.flow_backward.push(backward.flow);
-            clip.visible_backward.push(backward.visible);
-        }
-        if let Some(forward) = flows.next() {
-            clip.flow_forward.push(forward.flow);
-            clip.visible_forward.push(forward.visible);
-        }
+        clip.push_truth(truth, before.is_some());
     }
     for (held_out, depth) in clip.held_out.iter_mut().zip(&held_out_depth) {
         let views = held_out.cameras.iter().zip(depth).zip(&held_out.masks);
@@ -286,6 +282,24 @@ fn rendered(name: &str, options: &SynthOptions, scene: Scene) -> Result<Clip> {
         held_out.covisible = seen.collect();
     }
     Ok(clip)
+}
+
+/// The surface points at a pixel grid of the first, the middle and the last frame, each with its frame and
+/// pixel.
+fn points_to_follow(
+    geometry: &Geometry,
+    times: &[f64],
+    cameras: &[Camera],
+) -> Vec<((usize, DVec2), Hit)> {
+    let frames = times.len();
+    let pixels = grid(cameras[0].intrinsics.width, cameras[0].intrinsics.height);
+    let mut points = Vec::new();
+    for frame in BTreeSet::from([0, frames / 2, frames - 1]) {
+        let hits = geometry.hits((&geometry.at(times[frame]), &cameras[frame]), &pixels);
+        let met = pixels.iter().zip(hits);
+        points.extend(met.filter_map(|(pixel, hit)| Some(((frame, *pixel), hit?))));
+    }
+    points
 }
 
 /// Centres of the pixels on a grid.

@@ -2,7 +2,7 @@
 
 use super::super::envelope::Envelope;
 use super::residual::{focal_prior, kernel, project_through, relative};
-use super::{Options, Problem, counts};
+use super::{Kernel, Options, Problem, counts};
 use crate::geometry::se3::{Twist, retract};
 use glam::DVec2;
 use nalgebra::DVector;
@@ -208,6 +208,17 @@ impl Coupling {
     }
 }
 
+/// What the rows of all points are made from.
+struct System<'a> {
+    problem: &'a Problem,
+    layout: &'a Layout,
+    kernel: Kernel,
+    /// Width of the robust kernel, over the residuals' deviation.
+    kernel_width: f64,
+    /// Minimum information of an inverse depth.
+    depth_floor: f64,
+}
+
 /// Jᵀ W J and Jᵀ W r: the camera block, and a row for each point.
 pub(super) struct NormalEquations {
     camera: Envelope,
@@ -222,9 +233,15 @@ impl NormalEquations {
         layout: &Layout,
         scale: f64,
     ) -> NormalEquations {
-        let width = options.kernel_width * scale;
-        let part = problem.points.len().div_ceil(PARTS).max(1);
         let typical = super::median_inverse_depth(problem).unwrap_or(1.0);
+        let system = System {
+            problem,
+            layout,
+            kernel: options.kernel,
+            kernel_width: options.kernel_width * scale,
+            depth_floor: DEPTH_FLOOR / (typical * typical),
+        };
+        let part = problem.points.len().div_ceil(PARTS).max(1);
         let parts: Vec<NormalEquations> = layout
             .by_point
             .par_chunks(part)
@@ -232,15 +249,7 @@ impl NormalEquations {
             .map(|(p, members)| {
                 let mut sum = NormalEquations::empty(layout);
                 for (k, members) in members.iter().enumerate() {
-                    let row = sum.add_point(
-                        problem,
-                        options,
-                        layout,
-                        width,
-                        p * part + k,
-                        members,
-                        typical,
-                    );
+                    let row = sum.add_point(&system, p * part + k, members);
                     sum.rows.push(row);
                 }
                 sum
@@ -268,16 +277,8 @@ impl NormalEquations {
     }
 
     /// Adds a point's observations to the camera block (lower triangle), and returns the point's row.
-    fn add_point(
-        &mut self,
-        problem: &Problem,
-        options: &Options,
-        layout: &Layout,
-        width: f64,
-        index: usize,
-        members: &[usize],
-        typical: f64,
-    ) -> Row {
+    fn add_point(&mut self, system: &System, index: usize, members: &[usize]) -> Row {
+        let &System { problem, layout, kernel_width, .. } = system;
         let point = &problem.points[index];
         let mut row = Row::default();
         // All observations depend on the reference frame, the focal length and the distortion.
@@ -296,7 +297,7 @@ impl NormalEquations {
             let Some((u, jacobian)) = found else { continue };
             let r = u - o.pixel;
             let (variance, squared) = (o.deviation.powi(2), r.length_squared());
-            let w = o.weight * kernel(options.kernel, squared / variance, width).1 / variance;
+            let w = o.weight * kernel(system.kernel, squared / variance, kernel_width).1 / variance;
             let twist = layout.width;
             let by_shared = [
                 &jacobian.reference[..twist],
@@ -344,7 +345,7 @@ impl NormalEquations {
             row.information += prior.weight;
             row.gradient += prior.weight * (point.inverse_depth - prior.inverse_depth);
         }
-        row.floor = DEPTH_FLOOR / (typical * typical);
+        row.floor = system.depth_floor;
         row
     }
 
@@ -516,7 +517,7 @@ mod tests {
     use glam::{DQuat, DVec3};
     use nalgebra::DMatrix;
 
-    use super::super::{Kernel, Observation, Point, project};
+    use super::super::{Observation, Point, project};
     use super::*;
     use crate::types::{Intrinsics, Pose};
 

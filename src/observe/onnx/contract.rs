@@ -295,7 +295,7 @@ impl Contract {
         rule.map_or(Ok(()), PictureRule::check)?;
         match self {
             Contract::MaskEncoder(c) if c.picture.size == [0; 2] => {
-                Err("its contract does not say which `size` its picture has".into())
+                Err("its contract does not say which `size` its image has".into())
             }
             _ => Ok(()),
         }
@@ -374,7 +374,7 @@ impl PictureRule {
         let [width, height] = self.size;
         if self.size != [0; 2] && !(range.contains(&width) && range.contains(&height)) {
             return Err(format!(
-                "its contract asks for pictures of {width}×{height}; 1 to {LARGEST} make sense"
+                "its contract asks for images of {width}×{height}; 1 to {LARGEST} make sense"
             ));
         }
         let numbers = self.mean.iter().chain(&self.deviation).chain([&self.white]);

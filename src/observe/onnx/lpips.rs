@@ -39,7 +39,7 @@ impl LpipsNetwork {
     /// Images of different sizes or without three channels; the network fails, as it does on images that
     /// are too small for its features, or its output violates its contract.
     pub fn distance(&mut self, first: &Image, second: &Image) -> Result<f64> {
-        check_pair("a distance is that of pictures", first, second)?;
+        check_pair("a distance is that of images", first, second)?;
         let LpipsContract { inputs, picture: rule, output, .. } = &self.contract;
         let layout = Layout::new(rule, (first.width, first.height));
         let shown = |picture: &Image| {

@@ -104,7 +104,7 @@ impl Network {
             [1, c, h, w] if c > 0 && h > 0 && w > 0 => (c, h, w),
             [1, h, w] if h > 0 && w > 0 => (1, h, w),
             _ => {
-                let what = format!("came out as {shape:?}, which is no picture");
+                let what = format!("came out as {shape:?}, which is no image");
                 return Err(self.wrong(name, &what));
             }
         };
@@ -130,7 +130,7 @@ impl Network {
         let unknown = values.iter().filter(|value| !value.is_finite()).count();
         if unknown > 0 {
             let what = format!(
-                "is not finite at {unknown} of {} values; some networks take no picture as small as \
+                "is not finite at {unknown} of {} values; some networks take no image as small as \
                  {width}×{height}",
                 values.len()
             );

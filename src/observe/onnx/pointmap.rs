@@ -107,7 +107,7 @@ impl PointmapNetwork {
         let wanted = if channels == 1 { &sides[..3] } else { &sides[..] };
         if shape != wanted {
             let what = format!(
-                "came out as {shape:?} for a picture of {width}×{height}, not as {wanted:?}"
+                "came out as {shape:?} for an image of {width}×{height}, not as {wanted:?}"
             );
             return Err(self.decoder.wrong(name, &what));
         }

@@ -175,6 +175,27 @@ impl Flow {
         Ok(())
     }
 
+    /// Records the upsampling of the coarser level's flow, within `flow`; nothing at the coarsest level.
+    fn record_upsample(
+        &self,
+        recorder: &mut Recorder,
+        l: usize,
+        scratch: &mut FlowScratch,
+    ) -> Result<()> {
+        let Some(coarse) = self.levels.get(l + 1) else { return Ok(()) };
+        let [coarse_width, coarse_height] = coarse.map(|n| n as i32);
+        let [width, height] = self.levels[l].map(|n| n as i32);
+        for direction in &mut scratch.directions {
+            recorder.dispatch::<Upsample>(
+                self.pixel_groups(l),
+                UpsampleParams { coarse_width, coarse_height, width, height },
+                UpsampleArgs { coarse: direction.flow.view(), flow: direction.other.view_mut() },
+            )?;
+            std::mem::swap(&mut direction.flow, &mut direction.other);
+        }
+        Ok(())
+    }
+
     /// Records the search of one level. It reads the coarser level's flow (at the coarsest level, the
     /// start) from `flow` and writes this level's dense, unrefined flow to `other`.
     fn record_search(
@@ -184,23 +205,10 @@ impl Flow {
         args: &FlowArgs<'_>,
         scratch: &mut FlowScratch,
     ) -> Result<()> {
+        self.record_upsample(recorder, l, scratch)?;
         let [width, height] = self.levels[l].map(|n| n as i32);
         let patches = Groups::grid(self.patch_grid(l)[0], self.patch_grid(l)[1], PATCH_TILE);
         let FlowSettings { search_steps, noise, .. } = self.settings;
-        if let Some(&[coarse_width, coarse_height]) = self.levels.get(l + 1) {
-            let (coarse_width, coarse_height) = (coarse_width as i32, coarse_height as i32);
-            for direction in &mut scratch.directions {
-                recorder.dispatch::<Upsample>(
-                    self.pixel_groups(l),
-                    UpsampleParams { coarse_width, coarse_height, width, height },
-                    UpsampleArgs {
-                        coarse: direction.flow.view(),
-                        flow: direction.other.view_mut(),
-                    },
-                )?;
-                std::mem::swap(&mut direction.flow, &mut direction.other);
-            }
-        }
         let guess_size = if args.guess.is_some() { self.levels[0] } else { [0, 0] };
         for (d, direction) in scratch.directions.iter_mut().enumerate() {
             let (a, b) = args.frames(d);

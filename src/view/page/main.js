@@ -191,7 +191,7 @@ async function showInput() {
     const loaded = await fetch(`pictures/${number}`).catch(() => null);
     inputShown = number;
     if (!loaded?.ok) {
-      say(`The input's picture ${number + 1} cannot be loaded`);
+      say(`The input's image ${number + 1} cannot be loaded`);
       continue;
     }
     const bitmap = await createImageBitmap(await loaded.blob());

@@ -189,8 +189,7 @@ impl State {
     fn steps(&mut self, count: u32, until: Instant) -> splat4d::Result<u32> {
         self.end_own()?;
         let Kind::OnViews(trainer) = &mut self.trainer else {
-            let what =
-                "a step on the trainer's own pictures: there are none; see `Trainer.forward`";
+            let what = "a step on the trainer's own images: there are none; see `Trainer.forward`";
             return Err(splat4d::Error::Input(what.into()));
         };
         let mut done = 0;
