@@ -31,6 +31,7 @@
 //! | [`ops`] | algorithms of many dispatches: scan, sort, render, loss, deformation, Adam | types, gpu, kernels |
 //! | [`geometry`] | SE(3), Sim(3), two-view geometry, PnP, bundle adjustment, in f64 | types |
 //! | [`scene`] | the 4D scene and its files | types, io |
+//! | [`camera_path`] | cameras on a path around a scene: views that the input did not have | types, geometry, scene |
 //! | [`data`] | readers of videos and datasets; synthetic clips with exact truth | types, io |
 //! | [`eval`] | PSNR, SSIM, MS-SSIM, ATE, RPE | types, io, geometry |
 //! | [`train`] | seeding, the training step, schedules | all of the above but vk, kernels, oracle |
@@ -51,7 +52,7 @@
 //! | feature | adds |
 //! |---|---|
 //! | `files` | [`io`], [`data`], the scene's files; a cache of compiled pipelines |
-//! | `reconstruct` | [`geometry`], [`observe`], [`track`], [`eval`], whole runs of [`train`] |
+//! | `reconstruct` | [`geometry`], [`camera_path`], [`observe`], [`track`], [`eval`], whole runs of [`train`] |
 //! | `check` | [`oracle`], [`check`] |
 //! | `bench` | `bench`, `report` |
 //! | `cli` (default) | the command line |
@@ -114,6 +115,8 @@
 
 #[cfg(feature = "bench")]
 pub mod bench;
+#[cfg(feature = "reconstruct")]
+pub mod camera_path;
 #[cfg(feature = "capi")]
 pub mod capi;
 #[cfg(feature = "check")]

@@ -8,6 +8,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use clap::{Args, Subcommand, ValueEnum};
 use serde_json::json;
 use splat4d::bench::{self, Budget, ErrorMeasure, Pace, Profile, Shot};
+use splat4d::camera_path::{CameraPath, PathShape};
 use splat4d::gpu::Device;
 use splat4d::renderer::RenderScale;
 use splat4d::report::{
@@ -20,7 +21,6 @@ use splat4d::{Error, Result};
 
 use super::common::{Answer, Common, bytes, foresee, say, thousands};
 use super::outputs::{Inputs, Outputs};
-use super::path::{self, Orbit};
 use super::{interrupt, tuning, values};
 
 /// Number of views that a sweep of a scene renders.
@@ -328,20 +328,18 @@ fn profile_text(profile: &Profile, peaks: &Peaks) -> String {
 
 /// Views spread over the scene's own cameras, or around a scene without cameras.
 fn shots(scene: &Scene, (width, height): (u32, u32), count: usize) -> Vec<Shot> {
-    let cameras: Vec<_> = match path::input(scene) {
-        Ok(cameras) if cameras.len() >= count => {
-            (0..count).map(|i| cameras[(2 * i + 1) * cameras.len() / (2 * count)]).collect()
-        }
-        _ => {
-            let orbit = Orbit::new(scene, count);
-            (0..count).map(|i| orbit.at(i)).collect()
-        }
+    let cameras = &scene.cameras;
+    let cameras: Vec<_> = if cameras.len() >= count {
+        (0..count).map(|i| cameras[(2 * i + 1) * cameras.len() / (2 * count)]).collect()
+    } else {
+        let orbit = CameraPath::new(scene, PathShape::Orbit, count);
+        (0..count).map(|i| orbit.at(i)).collect()
     };
     cameras
         .into_iter()
         .map(|mut shot| {
             let k = &mut shot.camera.intrinsics;
-            *k = path::resized(k, width, height);
+            *k = k.fitted(width, height);
             Shot { camera: shot.camera, time: shot.time }
         })
         .collect()

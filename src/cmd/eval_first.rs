@@ -18,7 +18,6 @@ use super::held_out::{self, Comparisons, Judge, Shot};
 use super::interrupt;
 use super::known::lens_of;
 use super::meter::Meter;
-use super::path;
 
 /// Name of the result rows for these images.
 const DISTANCE: &str = "first_camera";
@@ -149,7 +148,7 @@ fn seen_as(k: &Intrinsics, file: &Path) -> Result<Intrinsics> {
         );
         return Err(Error::format(file, what));
     }
-    Ok(path::resized(k, width, height))
+    Ok(k.fitted(width, height))
 }
 
 fn stem(file: &Path) -> String {

@@ -28,7 +28,6 @@ use super::eval_scale::{Sight, by_pictures};
 use super::held_out::{self, Comparisons, Judge, Shot, eight_bits};
 use super::interrupt;
 use super::meter::Meter;
-use super::path;
 use super::quality::{Quality, motion_only};
 
 /// A camera of the scene and the true one of the same frame.
@@ -181,7 +180,7 @@ fn look(device: &Device, scene: &Scene, pairs: &[Pair], truth: &Path) -> Result<
     for Pair { ours, truth: camera, frame } in pairs {
         interrupt::check()?;
         let k = &camera.camera.intrinsics;
-        let intrinsics = path::resized(&ours.camera.intrinsics, k.width, k.height);
+        let intrinsics = ours.camera.intrinsics.fitted(k.width, k.height);
         let seen_by = Camera { intrinsics, ..ours.camera };
         if has_depth {
             depth.push(renderer.render(&seen_by, ours.time)?.mean_depth());

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use serde_json::{Value, json};
+use splat4d::camera_path::initial_view;
 use splat4d::io::{write_atomically, write_folder};
 use splat4d::renderer::Renderer;
 use splat4d::scene::html::Opening;
@@ -20,7 +21,6 @@ use super::export_target::{Droppable, Member, SpzVersion, Target, is_zip, left_o
 use super::interrupt;
 use super::meter::Meter;
 use super::outputs::{Inputs, Outputs};
-use super::path;
 use super::values::{self, MOST_PICTURES};
 
 const AFTER_HELP: &str = "\
@@ -265,7 +265,7 @@ fn write(
 
 /// Initial view of a page: the input's first camera, at its time.
 fn opening(args: &ExportArgs, scene: &Scene) -> Opening {
-    let (start, distance) = path::start(scene);
+    let (start, distance) = initial_view(scene);
     let title = args.scene.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let time = scene.cameras.first().map_or(0.0, |camera| camera.time);
     Opening { title, start, distance, time }

@@ -10,7 +10,6 @@ use splat4d::scene::{Opened, Scene};
 use splat4d::types::{Gaussians, NetShape};
 
 use super::common::{Answer, thousands};
-use super::path::stands_still;
 
 const AFTER_HELP: &str = "\
 Example:
@@ -119,7 +118,7 @@ pub fn run(args: &InfoArgs) -> Result<Answer> {
 /// Bounding box of the static Gaussians, or of all where there are none: the canonical positions of dynamic
 /// ones are arbitrary.
 fn bounding_box(g: &Gaussians) -> Option<[[f32; 3]; 2]> {
-    let mut chosen: Vec<usize> = (0..g.len()).filter(|i| stands_still(g, *i)).collect();
+    let mut chosen: Vec<usize> = (0..g.len()).filter(|i| !g.moves(*i)).collect();
     if chosen.is_empty() {
         chosen = (0..g.len()).collect();
     }

@@ -3,9 +3,9 @@
 use std::path::Path;
 
 use clap::ValueEnum;
-use splat4d::data::transforms::TimedCamera;
 use splat4d::data::{exr, flo, write_png};
 use splat4d::renderer::{Rendered, Renderer};
+use splat4d::scene::SceneCamera;
 use splat4d::types::Image;
 use splat4d::{Error, Result};
 
@@ -68,8 +68,8 @@ pub struct Writer<'a> {
 /// One image of a path.
 pub struct Picture<'a> {
     pub index: usize,
-    pub shot: TimedCamera,
-    pub next: Option<TimedCamera>,
+    pub shot: SceneCamera,
+    pub next: Option<SceneCamera>,
     pub rendered: &'a Rendered,
 }
 

@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 
 use clap::Args;
 use splat4d::Result;
+use splat4d::camera_path::initial_view;
 use splat4d::gpu::{Device, Footprint};
 use splat4d::renderer::RenderScale;
 use splat4d::scene::{Scene, SceneCamera};
@@ -15,7 +16,7 @@ use splat4d::view::protocol::Progressed;
 use splat4d::view::{self, Options, Pictures, Server, Show};
 
 use super::common::{foresee, say, training};
-use super::{path, values};
+use super::values;
 
 /// Port of `--view` without a value.
 const USUAL_PORT: &str = "8090";
@@ -189,7 +190,7 @@ impl Live {
             scene.cameras.clone_from(&self.cameras);
             scene.set_up_from_cameras();
         }
-        let (start, distance) = path::start(&scene);
+        let (start, distance) = initial_view(&scene);
         let (name, tuning) = (self.name.clone(), self.tuning);
         let pictures = self.pictures.clone();
         let show = Show { name, scene, tuning, start, distance, pictures };

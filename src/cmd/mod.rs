@@ -46,7 +46,6 @@ mod networks;
 mod origins;
 mod outputs;
 mod page;
-mod path;
 mod pictures;
 mod player;
 mod protocols;

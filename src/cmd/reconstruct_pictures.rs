@@ -2,6 +2,7 @@
 
 use rayon::prelude::*;
 use splat4d::Result;
+use splat4d::camera_path::{CameraPath, PathShape};
 use splat4d::data::View;
 use splat4d::gpu::Device;
 use splat4d::renderer::Renderer;
@@ -9,7 +10,6 @@ use splat4d::scene::Scene;
 use splat4d::types::Image;
 
 use super::interrupt;
-use super::path::{self, Orbit};
 use super::pictures::{DepthScale, address, brightest, grey, heat, shrunk};
 use super::player::Lane;
 
@@ -75,7 +75,7 @@ pub fn draw(device: &Device, scene: &Scene, views: &[View]) -> Result<Pictures> 
 }
 
 fn orbit(renderer: &mut Renderer, scene: &Scene) -> Result<Vec<Image>> {
-    let orbit = Orbit::new(scene, ORBIT);
+    let orbit = CameraPath::new(scene, PathShape::Orbit, ORBIT);
     let mut pictures = Vec::with_capacity(orbit.len());
     for i in 0..orbit.len() {
         interrupt::check()?;
@@ -84,7 +84,7 @@ fn orbit(renderer: &mut Renderer, scene: &Scene) -> Result<Vec<Image>> {
         if k.width > ORBIT_WIDEST {
             let height =
                 (u64::from(k.height) * u64::from(ORBIT_WIDEST) / u64::from(k.width)).max(1);
-            *k = path::resized(k, ORBIT_WIDEST, height as u32);
+            *k = k.fitted(ORBIT_WIDEST, height as u32);
         }
         pictures.push(renderer.render(&shot.camera, shot.time)?.over(scene.background));
     }

@@ -5,23 +5,23 @@ use std::path::PathBuf;
 
 use clap::Args;
 use clap::builder::{OsStringValueParser, TypedValueParser};
+use splat4d::camera_path::{CameraPath, PathShape};
 use splat4d::data::transforms::{self, TimedCamera};
-use splat4d::scene::Scene;
+use splat4d::scene::{Scene, SceneCamera};
 use splat4d::types::Intrinsics;
 use splat4d::{Error, Result};
 
 use super::common::thousands;
-use super::path::{self, Flight, Orbit};
 use super::values::{self, MOST_PICTURES, Times};
 
 /// Default number of views of a path.
-const FLIGHT_FRAMES: usize = 60;
+const PATH_FRAMES: usize = 60;
 
 /// Source of the cameras.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ViewPath {
     Input,
-    Flight(Flight),
+    Shape(PathShape),
     File(PathBuf),
 }
 
@@ -29,11 +29,10 @@ impl From<OsString> for ViewPath {
     fn from(text: OsString) -> ViewPath {
         match text.to_str() {
             Some("input") => ViewPath::Input,
-            Some("orbit") => ViewPath::Flight(Flight::Orbit),
-            Some("spiral") => ViewPath::Flight(Flight::Spiral),
-            Some("dolly") => ViewPath::Flight(Flight::Dolly),
-            Some("bullet") => ViewPath::Flight(Flight::Bullet),
-            _ => ViewPath::File(text.into()),
+            name => match name.and_then(PathShape::named) {
+                Some(shape) => ViewPath::Shape(shape),
+                None => ViewPath::File(text.into()),
+            },
         }
     }
 }
@@ -79,15 +78,15 @@ pub struct Shots<'a> {
 }
 
 enum Cameras<'a> {
-    Listed(Vec<TimedCamera>),
-    Orbit(Orbit<'a>),
+    Listed(Vec<SceneCamera>),
+    Path(CameraPath<'a>),
 }
 
 impl Cameras<'_> {
     fn len(&self) -> usize {
         match self {
             Cameras::Listed(cameras) => cameras.len(),
-            Cameras::Orbit(orbit) => orbit.len(),
+            Cameras::Path(path) => path.len(),
         }
     }
 }
@@ -95,19 +94,23 @@ impl Cameras<'_> {
 impl<'a> Shots<'a> {
     /// The views that the options select.
     pub fn of(args: &ShotArgs, scene: &'a Scene) -> Result<Shots<'a>> {
-        let frames = |flight: Flight| match (args.frames, &args.times) {
+        let frames = |shape: PathShape| match (args.frames, &args.times) {
             (Some(frames), _) => frames,
-            (None, Some(times)) if times.len() > 1 && flight != Flight::Bullet => times.len(),
-            _ => FLIGHT_FRAMES,
+            (None, Some(times)) if times.len() > 1 && shape != PathShape::Bullet => times.len(),
+            _ => PATH_FRAMES,
         };
         let default = match scene.cameras.is_empty() {
-            true => ViewPath::Flight(Flight::Orbit),
+            true => ViewPath::Shape(PathShape::Orbit),
             false => ViewPath::Input,
         };
         let cameras = match args.path.as_ref().unwrap_or(&default) {
-            ViewPath::Input => Cameras::Listed(path::input(scene)?),
-            ViewPath::Flight(flight) => Cameras::Orbit(Orbit::by(*flight, scene, frames(*flight))),
-            ViewPath::File(file) => Cameras::Listed(transforms::read_cameras(file)?),
+            ViewPath::Input => Cameras::Listed(input(scene)?),
+            ViewPath::Shape(shape) => Cameras::Path(CameraPath::new(scene, *shape, frames(*shape))),
+            ViewPath::File(file) => {
+                let listed = transforms::read_cameras(file)?.into_iter();
+                let known = |TimedCamera { time, camera }| SceneCamera { time, camera };
+                Cameras::Listed(listed.map(known).collect())
+            }
         };
         let shots =
             Shots { cameras, times: args.times.clone(), size: args.size, focal: args.focal };
@@ -134,36 +137,38 @@ impl<'a> Shots<'a> {
         let cameras = self.cameras.len();
         match self.times.as_ref().map(Times::len) {
             // With as many times as cameras, one time per camera.
-            Some(times) if times != cameras || self.stands() => cameras.saturating_mul(times),
+            Some(times) if times != cameras || self.has_fixed_time() => {
+                cameras.saturating_mul(times)
+            }
             _ => cameras,
         }
     }
 
     /// Whether a whole path is rendered at one time.
-    fn stands(&self) -> bool {
-        matches!(&self.cameras, Cameras::Orbit(orbit) if orbit.stands())
+    fn has_fixed_time(&self) -> bool {
+        matches!(&self.cameras, Cameras::Path(path) if path.has_fixed_time())
     }
 
     /// A view; see the command's help.
-    pub fn at(&self, index: usize) -> TimedCamera {
+    pub fn at(&self, index: usize) -> SceneCamera {
         let camera = index % self.cameras.len();
         let mut shot = match &self.cameras {
             Cameras::Listed(cameras) => cameras[camera],
-            Cameras::Orbit(orbit) => orbit.at(camera),
+            Cameras::Path(path) => path.at(camera),
         };
         if let Some(times) = &self.times {
-            let one_each = times.len() == self.cameras.len() && !self.stands();
+            let one_each = times.len() == self.cameras.len() && !self.has_fixed_time();
             let time = times.at(if one_each { index } else { index / self.cameras.len() });
             shot.time = time;
-            if let Cameras::Orbit(orbit) = &self.cameras
-                && self.stands()
+            if let Cameras::Path(path) = &self.cameras
+                && self.has_fixed_time()
             {
-                shot = orbit.at_time(camera, time);
+                shot = path.at_time(camera, time);
             }
         }
         let k = &mut shot.camera.intrinsics;
         if let Some((width, height)) = self.size {
-            *k = path::resized(k, width, height);
+            *k = k.fitted(width, height);
         }
         if let Some(focal) = self.focal {
             (k.fx, k.fy) = (focal, focal);
@@ -178,6 +183,18 @@ impl<'a> Shots<'a> {
     }
 }
 
+/// The input's cameras with their times.
+fn input(scene: &Scene) -> Result<Vec<SceneCamera>> {
+    if scene.cameras.is_empty() {
+        return Err(Error::Input(
+            "the scene knows no input cameras; render it with --path orbit, or along a \
+             transforms.json"
+                .into(),
+        ));
+    }
+    Ok(scene.cameras.clone())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -185,7 +202,7 @@ mod tests {
 
     #[test]
     fn times_replace_those_of_the_path() {
-        let camera = |i: u32| TimedCamera {
+        let camera = |i: u32| SceneCamera {
             time: 0.9,
             camera: splat4d::types::Camera {
                 intrinsics: Intrinsics::centred(10.0 + f64::from(i), 8, 8),
@@ -193,7 +210,7 @@ mod tests {
             },
         };
         let path = [camera(0), camera(1)];
-        let found = |times: &[f64], path: &[TimedCamera]| -> Vec<(u32, f64)> {
+        let found = |times: &[f64], path: &[SceneCamera]| -> Vec<(u32, f64)> {
             let shots = Shots {
                 cameras: Cameras::Listed(path.to_vec()),
                 times: Some(Times::List(times.to_vec())),
@@ -212,11 +229,15 @@ mod tests {
     }
 
     #[test]
+    fn the_input_path_needs_cameras() {
+        assert!(input(&Scene::default()).is_err());
+    }
+
+    #[test]
     fn a_bullet_stands_at_each_time() {
         let scene = Scene::default();
         let found = |times: Option<Times>| -> Vec<f64> {
-            let orbit = Orbit::by(Flight::Bullet, &scene, 2);
-            let cameras = Cameras::Orbit(orbit);
+            let cameras = Cameras::Path(CameraPath::new(&scene, PathShape::Bullet, 2));
             let shots = Shots { cameras, times, size: None, focal: None };
             (0..shots.len()).map(|i| shots.at(i).time).collect()
         };

@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 
 use clap::Args;
 use serde_json::json;
+use splat4d::camera_path::initial_view;
 use splat4d::data::{Clip, images, video};
 use splat4d::io::check_memory;
 use splat4d::renderer::RenderScale;
@@ -15,7 +16,7 @@ use splat4d::view::{Options, Pictures, Server, Show};
 use splat4d::{Error, Result};
 
 use super::common::{Answer, Common, foresee, print_json, say, thousands};
-use super::{interrupt, path, tuning, values};
+use super::{interrupt, tuning, values};
 
 /// The image size that memory is predicted for: the usual one on most screens.
 const USUAL_SIZE: (u32, u32) = (1920, 1080);
@@ -88,7 +89,7 @@ pub fn run(args: &ViewArgs, common: &Common) -> Result<Answer> {
     let predicted_bytes = foreseen(&device, &scene, &tuning)?;
     let (gaussians, cameras) = (scene.gaussians.len(), scene.cameras.len());
     let count = pictures.as_ref().map_or(0, Pictures::len);
-    let (start, distance) = path::start(&scene);
+    let (start, distance) = initial_view(&scene);
     let name = args.scene.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let show = Show { name, scene, tuning, start, distance, pictures };
     interrupt::check()?;

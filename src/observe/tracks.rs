@@ -107,6 +107,13 @@ pub struct TrackOptions {
     pub confidence: f32,
 }
 
+impl Default for TrackOptions {
+    /// The options for images of 320×180.
+    fn default() -> Self {
+        TrackOptions::for_size(320, 180)
+    }
+}
+
 impl TrackOptions {
     /// About 2,000 points in a frame: a spacing of 5 px at 320×180.
     pub fn for_size(width: usize, height: usize) -> TrackOptions {
@@ -239,7 +246,7 @@ mod tests {
 
     #[test]
     fn a_grid_follows_an_even_flow_and_is_refilled() {
-        let tracks = follow(&flow(None), &TrackOptions { spacing: 4, confidence: 0.3 });
+        let tracks = follow(&flow(None), &TrackOptions { spacing: 4, ..Default::default() });
         for track in &tracks {
             assert!(track.pixels.len() > 1 && track.end() <= 4);
             for (k, pixel) in track.pixels.iter().enumerate() {
@@ -266,7 +273,7 @@ mod tests {
     fn a_step_that_cannot_be_believed_ends_a_track() {
         // The point (6, 6) of the first frame is at (10, 7) in the second, between the pixels of rows 6 and
         // 7 and columns 9 and 10: all four would have to be wrong.
-        let spacing = TrackOptions { spacing: 4, confidence: 0.3 };
+        let spacing = TrackOptions { spacing: 4, ..Default::default() };
         let at = |y: usize, x: usize| y * SIZE.0 as usize + x;
         let life = |flow: &NeighbourFlow| {
             let start = DVec2::new(6.0, 6.0);

@@ -517,7 +517,7 @@ mod tests {
 
     #[test]
     fn adaptive_control_decides_lays_out_and_gathers() {
-        let settings = AdaptSettings { gradient: 2e-4, small: 0.01, opacity: 0.005, large: 1.0 };
+        let settings = AdaptSettings { large: 1.0, ..Default::default() };
         let statistics =
             [[1e-3, 10.0], [1e-2, 10.0], [1e-2, 10.0], [0.0, 0.0], [1.0, 1.0], [1.0, 1.0]];
         let logits = [0.0, 0.0, 0.0, 0.0, -40.0, f64::NAN];

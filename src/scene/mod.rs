@@ -45,7 +45,7 @@ use open::without_bad;
 use crate::types::range::{self, Check};
 use crate::types::{Camera, ControlPoints, DeformNet, Gaussians, RenderSettings};
 
-/// An input camera and its time.
+/// A camera and its time: of the input, or of a path around the scene.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SceneCamera {
     /// Time in [0, 1].

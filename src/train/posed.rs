@@ -38,7 +38,7 @@ impl Default for PosedMotion {
     fn default() -> Self {
         PosedMotion {
             warm_up: 0.1,
-            control_points: 256,
+            control_points: ControlSettings::default().most,
             network: NetShape {
                 depth: 4,
                 width: 128,

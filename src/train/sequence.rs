@@ -154,7 +154,7 @@ impl Default for SequenceSettings {
             static_steps: 500,
             steps: 2200,
             max_gaussians: 40_000,
-            control_points: 256,
+            control_points: ControlSettings::default().most,
             neighbours: 4,
             sh_degree: 1,
             train_selection: false,

@@ -1,6 +1,6 @@
 //! The settings of training.
 
-use crate::types::{DEPTH_BITS, RasterKind, RenderSettings};
+use crate::types::{AdaptSettings, DEPTH_BITS, RasterKind, RenderSettings};
 
 /// Learning rates. The rate of positions decays exponentially from the first to the last value over the
 /// steps and is in units of the scene's extent; the others are constant.
@@ -132,6 +132,13 @@ pub struct AdaptiveSettings {
     pub reset_opacity: f64,
 }
 
+impl Default for AdaptiveSettings {
+    /// The schedule for the default number of steps.
+    fn default() -> Self {
+        AdaptiveSettings::scaled_to(TrainSettings::default().steps)
+    }
+}
+
 impl AdaptiveSettings {
     /// The schedule of 3D Gaussian Splatting, made for 30,000 steps, scaled in proportion to `steps`.
     /// Two intervals have lower limits: a round's statistics need about 25 images, and opacities need
@@ -139,14 +146,15 @@ impl AdaptiveSettings {
     pub fn scaled_to(steps: u32) -> AdaptiveSettings {
         let scaled = |of_30k: f64| (of_30k * f64::from(steps) / 30_000.0).round() as u32;
         let every = scaled(100.0).clamp(25, 100);
+        let AdaptSettings { gradient, small, opacity, .. } = AdaptSettings::default();
         AdaptiveSettings {
             from: scaled(500.0).max(every),
             until: 0.5,
             every,
-            gradient: 2e-4,
-            small: 0.01,
+            gradient,
+            small,
             large: 0.1,
-            opacity: 0.005,
+            opacity,
             reset_every: scaled(3000.0).max(500),
             reset_opacity: 0.01,
         }
@@ -167,6 +175,13 @@ pub struct ControlSettings {
     pub above: f64,
     /// Largest number added in a round, as a share of the present control points.
     pub share: f64,
+}
+
+impl Default for ControlSettings {
+    /// The settings for the default number of steps, and up to 256 control points.
+    fn default() -> Self {
+        ControlSettings::scaled_to(TrainSettings::default().steps, 256)
+    }
 }
 
 impl ControlSettings {
@@ -203,6 +218,13 @@ pub struct SelectionSettings {
     pub mask_every: u32,
     /// λ_rigid: weight of the mean squared displacement of Gaussians that the masks show to be static.
     pub rigid_weight: f64,
+}
+
+impl Default for SelectionSettings {
+    /// The settings for the default number of steps.
+    fn default() -> Self {
+        SelectionSettings::scaled_to(TrainSettings::default().steps)
+    }
 }
 
 impl SelectionSettings {

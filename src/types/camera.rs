@@ -65,7 +65,7 @@ impl Intrinsics {
         Ok(())
     }
 
-    /// The same camera at another image size.
+    /// The same camera at another image size, stretched to it.
     pub fn resized(&self, width: u32, height: u32) -> Intrinsics {
         let (sx, sy) = (width as f64 / self.width as f64, height as f64 / self.height as f64);
         Intrinsics {
@@ -73,6 +73,22 @@ impl Intrinsics {
             fy: self.fy * sy,
             cx: self.cx * sx,
             cy: self.cy * sy,
+            width,
+            height,
+        }
+    }
+
+    /// Intrinsics for another image size: the whole field of view stays in the image, and pixels stay square
+    /// if they were.
+    pub fn fitted(&self, width: u32, height: u32) -> Intrinsics {
+        let (w, h) = (f64::from(self.width), f64::from(self.height));
+        let scale = (f64::from(width) / w).min(f64::from(height) / h);
+        let centre = |c: f64, old: f64, new: u32| f64::from(new) / 2.0 + (c - old / 2.0) * scale;
+        Intrinsics {
+            fx: self.fx * scale,
+            fy: self.fy * scale,
+            cx: centre(self.cx, w, width),
+            cy: centre(self.cy, h, height),
             width,
             height,
         }
@@ -175,5 +191,19 @@ impl Camera {
     /// The camera's centre in the world.
     pub fn centre(&self) -> DVec3 {
         self.view_from_world.inverse().translation
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn another_size_keeps_the_whole_picture() {
+        let k = Intrinsics { fx: 80.0, fy: 82.0, cx: 48.0, cy: 31.0, width: 100, height: 60 };
+        let twice = k.fitted(200, 120);
+        assert_eq!((twice.fx, twice.cx, twice.cy), (160.0, 96.0, 62.0));
+        let wide = k.fitted(300, 60);
+        assert_eq!((wide.fx, wide.fy, wide.cx, wide.cy), (80.0, 82.0, 148.0, 31.0));
     }
 }

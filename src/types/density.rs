@@ -34,6 +34,13 @@ pub struct AdaptSettings {
     pub large: f64,
 }
 
+impl Default for AdaptSettings {
+    /// The thresholds of 3D Gaussian Splatting, for a scene of radius 1; large Gaussians are kept.
+    fn default() -> Self {
+        AdaptSettings { gradient: 2e-4, small: 0.01, opacity: 0.005, large: f64::INFINITY }
+    }
+}
+
 impl AdaptSettings {
     /// The scales of a split Gaussian's parts are divided by this factor.
     pub const SPLIT_SHRINK: f64 = 1.6;

@@ -80,6 +80,11 @@ impl Gaussians {
         self.motion_logits.iter().any(|&m| m > 0.0)
     }
 
+    /// Whether the Gaussian at `index` follows the control points.
+    pub fn moves(&self, index: usize) -> bool {
+        self.motion_logits.get(index).is_some_and(|&m| m > 0.0)
+    }
+
     /// The Gaussians with spherical harmonics truncated to at most `degree`.
     pub fn at_degree(mut self, degree: u32) -> Gaussians {
         if degree < self.sh_degree {

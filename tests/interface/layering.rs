@@ -19,6 +19,7 @@ pub const MAY_SEE: &[(&str, &[&str])] = &[
     ("ops", &["error", "types", "gpu", "kernels"]),
     ("geometry", &["error", "types"]),
     ("scene", &["error", "types", "io"]),
+    ("camera_path", &["error", "types", "geometry", "scene"]),
     ("data", &["error", "types", "io"]),
     ("eval", &["error", "types", "io", "geometry"]),
     // Renders a scene's frames with the ops, for training and for users.

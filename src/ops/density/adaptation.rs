@@ -23,7 +23,7 @@ use crate::types::AdaptSettings;
 /// #     device: &Device, recorder: &mut Recorder, gaussians: &mut GaussianBuffers,
 /// #     fresh: &mut GaussianBuffers, statistics: &Buffer<f32>,
 /// # ) -> splat4d::Result<()> {
-/// let settings = AdaptSettings { gradient: 2e-4, small: 0.01, opacity: 0.005, large: f64::INFINITY };
+/// let settings = AdaptSettings::default();
 /// let n = gaussians.len;
 /// let mut adaptation = Adaptation::new(device, gaussians.capacity())?;
 /// let args = AdaptationArgs {

@@ -7,10 +7,14 @@ use numpy::{PyArray1, PyArrayMethods};
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
+use splat4d::camera_path::{CameraPath, PathShape};
 use splat4d::scene::{self, Format, SceneCamera};
-use splat4d::types::{RenderSettings, sh_coefficients};
+use splat4d::types::{RenderSettings, range, sh_coefficients};
 use std::path::PathBuf;
 use std::sync::Arc;
+
+/// Most views of a camera path, as the command `render` has it.
+const MOST_VIEWS: usize = 1_000_000;
 
 /// A scene: Gaussians, and in a moving scene the control points that they follow.
 ///
@@ -252,6 +256,72 @@ impl Scene {
         scene.set_up_from_cameras();
         self.scene = Arc::new(scene);
         Ok(())
+    }
+
+    /// Cameras on a path around the scene: views that the input did not have, as the command
+    /// `render --path SHAPE` renders them. `shape` is one of:
+    ///
+    /// - `"orbit"`: a gentle ellipse around the input's camera, or once around a scene without cameras.
+    /// - `"spiral"`: twice around, each turn wider, while the camera moves forward and back.
+    /// - `"dolly"`: forward along the line of sight.
+    /// - `"bullet"`: the ellipse of an orbit while time stands at `time`, in [0, 1], by default 0.5.
+    ///
+    /// Returns `frames` cameras, 1 to 1,000,000, and their times, float64 of shape (C,): for each camera a time for
+    /// `Renderer.render`. Times run from 0 to 1, but for a bullet. Poses are in the scene's world frame, with
+    /// OpenCV's camera axes (`Camera.view_from_world`, shape (4, 4)). Intrinsics are the input's; without input
+    /// cameras, images are of 960 × 540 pixels. `size`, (width, height) in pixels, is another image size: the whole
+    /// field of view stays in the image. `focal` is another focal length, in pixels of the image.
+    ///
+    /// The input's own path is `cameras` and `times`.
+    ///
+    /// Raises `ValueError` for another shape or number of frames, and for a `time` with a shape other than
+    /// `"bullet"`; `splat4d.Error` for a time out of range, and where a camera cannot be rendered from.
+    #[pyo3(signature = (shape = "orbit", *, frames = 60, time = None, size = None, focal = None))]
+    fn camera_path<'py>(
+        &self,
+        py: Python<'py>,
+        shape: &str,
+        frames: usize,
+        time: Option<f64>,
+        size: Option<(u32, u32)>,
+        focal: Option<f64>,
+    ) -> PyResult<(Vec<Camera>, Bound<'py, PyArray1<f64>>)> {
+        let known = PathShape::named(shape).ok_or_else(|| {
+            let what = "expected \"orbit\", \"spiral\", \"dolly\" or \"bullet\"";
+            PyValueError::new_err(format!("shape: {what}, got {shape:?}"))
+        })?;
+        if !(1..=MOST_VIEWS).contains(&frames) {
+            let what = format!("frames: expected 1 to {MOST_VIEWS}, got {frames}");
+            return Err(PyValueError::new_err(what));
+        }
+        if time.is_some() && known != PathShape::Bullet {
+            let what = format!("time: {shape:?} has times of its own; only \"bullet\" takes one");
+            return Err(PyValueError::new_err(what));
+        }
+        time.map_or(Ok(()), range::time).map_err(out_of_range)?;
+        let scene = self.scene.clone();
+        let views = py.detach(|| {
+            let path = CameraPath::new(&scene, known, frames);
+            let view = |i| {
+                let mut view = time.map_or_else(|| path.at(i), |time| path.at_time(i, time));
+                let k = &mut view.camera.intrinsics;
+                if let Some((width, height)) = size {
+                    *k = k.fitted(width, height);
+                }
+                if let Some(focal) = focal {
+                    (k.fx, k.fy) = (focal, focal);
+                }
+                view.camera.check().map_err(|what| {
+                    format!("camera {i} of the path cannot be rendered from: {what}")
+                })?;
+                Ok(view)
+            };
+            (0..path.len()).map(view).collect::<Result<Vec<SceneCamera>, String>>()
+        });
+        let views = views.map_err(out_of_range)?;
+        let times = arrays::line(py, views.iter().map(|view| view.time).collect());
+        let cameras = views.into_iter().map(|view| Camera { camera: view.camera });
+        Ok((cameras.collect(), times))
     }
 
     /// What a notebook shows of a scene: the page of `show()`.

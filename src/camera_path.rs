@@ -1,11 +1,10 @@
-//! Camera paths for rendering.
+//! Camera paths around a scene: views that the input did not have.
 
 use glam::{DVec3, Vec3};
-use splat4d::data::transforms::TimedCamera;
-use splat4d::geometry::look_at;
-use splat4d::scene::Scene;
-use splat4d::types::{Camera, Gaussians, Intrinsics};
-use splat4d::{Error, Result};
+
+use crate::geometry::look_at;
+use crate::scene::{Scene, SceneCamera};
+use crate::types::{Camera, Intrinsics, Pose};
 
 /// Default image size for a scene without cameras.
 const DEFAULT_SIZE: (u32, u32) = (960, 540);
@@ -22,21 +21,9 @@ const FOLLOWED_STEP: f64 = 0.15;
 /// Elevation of the orbit around a scene without cameras, radians.
 const ELEVATION: f64 = 0.25;
 
-/// The input's cameras with their times.
-pub fn input(scene: &Scene) -> Result<Vec<TimedCamera>> {
-    if scene.cameras.is_empty() {
-        return Err(Error::Input(
-            "the scene knows no input cameras; render it with --path orbit, or along a \
-             transforms.json"
-                .into(),
-        ));
-    }
-    Ok(scene.cameras.iter().map(|c| TimedCamera { time: c.time, camera: c.camera }).collect())
-}
-
 /// Shape of a camera path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Flight {
+pub enum PathShape {
     /// One turn along a small ellipse.
     Orbit,
     /// Two turns of increasing width, while the camera moves forward and back.
@@ -47,21 +34,51 @@ pub enum Flight {
     Bullet,
 }
 
+impl PathShape {
+    /// The shape of a name: `orbit`, `spiral`, `dolly` or `bullet`.
+    pub fn named(name: &str) -> Option<PathShape> {
+        match name {
+            "orbit" => Some(PathShape::Orbit),
+            "spiral" => Some(PathShape::Spiral),
+            "dolly" => Some(PathShape::Dolly),
+            "bullet" => Some(PathShape::Bullet),
+            _ => None,
+        }
+    }
+}
+
 /// Default time of a bullet-time path.
 const BULLET_TIME: f64 = 0.5;
 
-/// A path through novel views, with times from 0 to 1, or one fixed time for a [`Flight::Bullet`].
+/// A path through novel views, with times from 0 to 1, or one fixed time for a [`PathShape::Bullet`].
 ///
 /// If the input is a continuous shot, the camera follows it and moves around it, always looking at the
 /// point that the input looks at. If it is a set of photographs, the camera moves around the one nearest to
 /// their mean position. A scene without cameras is circled once; a dolly approaches it from one side.
-pub struct Orbit<'a> {
-    flight: Flight,
+/// Intrinsics are the input's, or 960 × 540 pixels in a scene without cameras.
+///
+/// ```no_run
+/// # fn main() -> splat4d::Result<()> {
+/// use splat4d::camera_path::{CameraPath, PathShape};
+/// use splat4d::{gpu::Device, renderer::Renderer, scene::Scene};
+///
+/// let scene = Scene::open("scene.safetensors", false)?.scene;
+/// let mut renderer = Renderer::new(&Device::open(&Default::default())?, &scene)?;
+/// let path = CameraPath::new(&scene, PathShape::Orbit, 60);
+/// for i in 0..path.len() {
+///     let view = path.at(i);
+///     let image = renderer.render(&view.camera, view.time)?.over(scene.background);
+/// }
+/// # Ok(())
+/// # }
+/// ```
+pub struct CameraPath<'a> {
+    shape: PathShape,
     frames: usize,
     around: Around<'a>,
 }
 
-/// Reference of an orbit.
+/// Reference of a path.
 enum Around<'a> {
     /// The input's camera at each time, with the distance to the point that it looks at.
     Shot(&'a Scene, f64),
@@ -71,14 +88,9 @@ enum Around<'a> {
     Whole(Circle),
 }
 
-impl Orbit<'_> {
-    /// An orbit with a number of views.
-    pub fn new(scene: &Scene, frames: usize) -> Orbit<'_> {
-        Orbit::by(Flight::Orbit, scene, frames)
-    }
-
+impl CameraPath<'_> {
     /// A path of the given shape with a number of views.
-    pub fn by(flight: Flight, scene: &Scene, frames: usize) -> Orbit<'_> {
+    pub fn new(scene: &Scene, shape: PathShape, frames: usize) -> CameraPath<'_> {
         let around = match middle_camera(scene) {
             None => Around::Whole(Circle::around(scene)),
             Some(middle) => {
@@ -89,7 +101,7 @@ impl Orbit<'_> {
                 }
             }
         };
-        Orbit { flight, frames, around }
+        CameraPath { shape, frames, around }
     }
 
     /// Number of views.
@@ -97,59 +109,64 @@ impl Orbit<'_> {
         self.frames
     }
 
+    /// Whether there are no views.
+    pub fn is_empty(&self) -> bool {
+        self.frames == 0
+    }
+
     /// Whether time is fixed while the camera moves.
-    pub fn stands(&self) -> bool {
-        self.flight == Flight::Bullet
+    pub fn has_fixed_time(&self) -> bool {
+        self.shape == PathShape::Bullet
     }
 
-    /// A view at its own time.
-    pub fn at(&self, index: usize) -> TimedCamera {
+    /// The view at `index`, below [`len`](Self::len), at its own time.
+    pub fn at(&self, index: usize) -> SceneCamera {
         let way = index as f64 / self.frames.max(2).saturating_sub(1) as f64;
-        self.at_time(index, if self.stands() { BULLET_TIME } else { way })
+        self.at_time(index, if self.has_fixed_time() { BULLET_TIME } else { way })
     }
 
-    /// A view relative to the input's camera at a given time.
-    pub fn at_time(&self, index: usize, time: f64) -> TimedCamera {
+    /// The view at `index` relative to the input's camera at a given time in [0, 1].
+    pub fn at_time(&self, index: usize, time: f64) -> SceneCamera {
         let way = index as f64 / self.frames.max(2).saturating_sub(1) as f64;
         let (base, distance) = match &self.around {
             Around::Shot(scene, distance) => (between(scene, time), distance),
             Around::Reference(camera, distance) => (*camera, distance),
             Around::Whole(circle) => {
                 // A full circle ends one step before its beginning.
-                let turn = index as f64 / self.frames as f64 * std::f64::consts::TAU;
-                let camera = match self.flight {
-                    Flight::Orbit | Flight::Bullet => circle.at(turn, 1.0),
-                    Flight::Spiral => circle.at(2.0 * turn, 1.0 - 0.3 * way),
-                    Flight::Dolly => circle.at(0.0, 1.0 - 0.5 * way),
+                let turn = index as f64 / self.frames.max(1) as f64 * std::f64::consts::TAU;
+                let camera = match self.shape {
+                    PathShape::Orbit | PathShape::Bullet => circle.at(turn, 1.0),
+                    PathShape::Spiral => circle.at(2.0 * turn, 1.0 - 0.3 * way),
+                    PathShape::Dolly => circle.at(0.0, 1.0 - 0.5 * way),
                 };
-                return TimedCamera { time, camera };
+                return SceneCamera { time, camera };
             }
         };
         let turn = way * std::f64::consts::TAU;
-        let aside = match self.flight {
-            Flight::Orbit | Flight::Bullet => {
+        let aside = match self.shape {
+            PathShape::Orbit | PathShape::Bullet => {
                 DVec3::new(SWAY[0] * turn.cos(), SWAY[1] * turn.sin(), 0.0)
             }
-            Flight::Spiral => {
+            PathShape::Spiral => {
                 let (sin, cos) = (2.0 * turn).sin_cos();
                 DVec3::new(SWAY[0] * way * cos, SWAY[1] * way * sin, SPIRAL_REACH * turn.sin())
             }
-            Flight::Dolly => DVec3::Z * (DOLLY[0] + way * (DOLLY[1] - DOLLY[0])),
+            PathShape::Dolly => DVec3::Z * (DOLLY[0] + way * (DOLLY[1] - DOLLY[0])),
         };
         let world_from_view = base.view_from_world.inverse();
         let target = world_from_view.apply(DVec3::Z * *distance);
         let up = world_from_view.rotation * DVec3::NEG_Y;
         let centre = world_from_view.apply(aside * *distance);
-        TimedCamera {
+        SceneCamera {
             time,
             camera: Camera { view_from_world: look_at(centre, target, up), ..base },
         }
     }
 }
 
-/// Initial camera of a viewer, and its distance to the point that it looks at: the input's first camera, or
-/// one that sees the whole of a scene without cameras.
-pub fn start(scene: &Scene) -> (Camera, f64) {
+/// Initial camera of a viewer, and its distance to the point that it looks at, world units: the input's first
+/// camera, or one that sees the whole of a scene without cameras.
+pub fn initial_view(scene: &Scene) -> (Camera, f64) {
     match scene.cameras.first() {
         Some(first) => (first.camera, typical_depth(scene, &first.camera)),
         None => {
@@ -168,18 +185,14 @@ fn middle_camera(scene: &Scene) -> Option<Camera> {
     cameras.min_by(|a, b| distance(a).total_cmp(&distance(b)))
 }
 
-/// Whether a Gaussian is static; the canonical positions of dynamic ones are arbitrary.
-pub fn stands_still(g: &Gaussians, i: usize) -> bool {
-    g.motion_logits.get(i).is_none_or(|logit| *logit <= 0.0)
-}
-
-/// Median depth of the opaque static Gaussians that a camera sees; 1 where it sees none.
+/// Median depth of the opaque static Gaussians that a camera sees; 1 where it sees none. The canonical
+/// positions of dynamic ones are arbitrary.
 fn typical_depth(scene: &Scene, camera: &Camera) -> f64 {
     let k = &camera.intrinsics;
     let g = &scene.gaussians;
     let near = f64::from(scene.settings.near);
     let mut depths: Vec<f64> = (0..g.len())
-        .filter(|&i| g.opacity_logits[i] > 0.0 && stands_still(g, i))
+        .filter(|&i| g.opacity_logits[i] > 0.0 && !g.moves(i))
         .map(|i| camera.view_from_world.apply(Vec3::from_array(g.positions[i]).as_dvec3()))
         .filter(|p| {
             let pixel = k.project(*p);
@@ -215,10 +228,8 @@ fn between(scene: &Scene, time: f64) -> Camera {
     let span = second.time - first.time;
     let share = if span > 0.0 { ((time - first.time) / span).clamp(0.0, 1.0) } else { 0.0 };
     let [a, b] = [first, second].map(|c| c.camera.view_from_world.inverse());
-    let world_from_view = splat4d::types::Pose::new(
-        a.rotation.slerp(b.rotation, share),
-        a.translation.lerp(b.translation, share),
-    );
+    let world_from_view =
+        Pose::new(a.rotation.slerp(b.rotation, share), a.translation.lerp(b.translation, share));
     Camera { view_from_world: world_from_view.inverse(), ..first.camera }
 }
 
@@ -235,7 +246,7 @@ struct Circle {
 impl Circle {
     fn around(scene: &Scene) -> Circle {
         let g = &scene.gaussians;
-        let solid = |i: &usize| g.opacity_logits[*i] > 0.0 && stands_still(g, *i);
+        let solid = |i: &usize| g.opacity_logits[*i] > 0.0 && !g.moves(*i);
         let mut chosen: Vec<usize> = (0..g.len()).filter(solid).collect();
         if chosen.is_empty() {
             chosen = (0..g.len()).collect();
@@ -290,28 +301,10 @@ fn deviation(log_scales: [f32; 3]) -> f64 {
     f64::from(log_scales.into_iter().fold(f32::NEG_INFINITY, f32::max)).exp()
 }
 
-/// Intrinsics for another image size: the whole field of view stays in the image, and pixels stay square if
-/// they were.
-pub fn resized(k: &Intrinsics, width: u32, height: u32) -> Intrinsics {
-    let scale =
-        (f64::from(width) / f64::from(k.width)).min(f64::from(height) / f64::from(k.height));
-    let centre =
-        |c: f64, old: u32, new: u32| f64::from(new) / 2.0 + (c - f64::from(old) / 2.0) * scale;
-    Intrinsics {
-        fx: k.fx * scale,
-        fy: k.fy * scale,
-        cx: centre(k.cx, k.width, width),
-        cy: centre(k.cy, k.height, height),
-        width,
-        height,
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use splat4d::scene::SceneCamera;
-    use splat4d::types::Pose;
+    use crate::types::Gaussians;
 
     fn wall(depth: f32) -> Scene {
         let positions: Vec<[f32; 3]> = (0..121)
@@ -345,8 +338,8 @@ mod tests {
         scene
     }
 
-    fn orbit(scene: &Scene, frames: usize) -> Vec<TimedCamera> {
-        let orbit = Orbit::new(scene, frames);
+    fn orbit(scene: &Scene, frames: usize) -> Vec<SceneCamera> {
+        let orbit = CameraPath::new(scene, PathShape::Orbit, frames);
         (0..orbit.len()).map(|i| orbit.at(i)).collect()
     }
 
@@ -366,39 +359,39 @@ mod tests {
     }
 
     #[test]
-    fn flights_differ_in_where_they_lead() {
+    fn shapes_differ_in_where_they_lead() {
         let centres: Vec<DVec3> = (0..9).map(|i| DVec3::X * (0.1 * f64::from(i) - 0.4)).collect();
         let scene = with_cameras(wall(4.0), &centres);
         let base = |time: f64| DVec3::X * (0.8 * time - 0.4);
-        let way = |flight| {
-            let orbit = Orbit::by(flight, &scene, 9);
-            let shots: Vec<TimedCamera> = (0..orbit.len()).map(|i| orbit.at(i)).collect();
+        let way = |shape| {
+            let orbit = CameraPath::new(&scene, shape, 9);
+            let shots: Vec<SceneCamera> = (0..orbit.len()).map(|i| orbit.at(i)).collect();
             for shot in &shots {
                 let target = shot.camera.view_from_world.apply(base(shot.time) + DVec3::Z * 4.0);
-                assert!(target.truncate().length() < 1e-9, "{flight:?}: {target}");
+                assert!(target.truncate().length() < 1e-9, "{shape:?}: {target}");
             }
-            let aside = |shot: &TimedCamera| shot.camera.centre() - base(shot.time);
+            let aside = |shot: &SceneCamera| shot.camera.centre() - base(shot.time);
             (shots.iter().map(aside).collect::<Vec<_>>(), shots)
         };
-        let (dolly, _) = way(Flight::Dolly);
+        let (dolly, _) = way(PathShape::Dolly);
         assert!(dolly.windows(2).all(|w| w[1].z > w[0].z && w[1].truncate().length() < 1e-9));
         assert!((dolly[0].z + 0.4).abs() < 1e-9 && (dolly[8].z - 1.2).abs() < 1e-9, "{dolly:?}");
-        let (spiral, _) = way(Flight::Spiral);
+        let (spiral, _) = way(PathShape::Spiral);
         assert!(spiral[0].length() < 1e-9 && (spiral[8].x - 0.4).abs() < 1e-9, "{spiral:?}");
         assert!(spiral[2].z > 0.3 && spiral[6].z < -0.3, "it nears and draws back: {spiral:?}");
-        let (_, bullet) = way(Flight::Bullet);
+        let (_, bullet) = way(PathShape::Bullet);
         assert!(bullet.iter().all(|shot| shot.time == 0.5));
         assert!(bullet[0].camera.centre().distance(bullet[4].camera.centre()) > 0.7);
-        let early = Orbit::by(Flight::Bullet, &scene, 9).at_time(4, 0.0);
+        let early = CameraPath::new(&scene, PathShape::Bullet, 9).at_time(4, 0.0);
         assert!(early.time == 0.0 && early.camera.centre().x < -0.7, "{:?}", early.camera);
         // Also for a scene without cameras.
-        for flight in [Flight::Spiral, Flight::Dolly, Flight::Bullet] {
+        for shape in [PathShape::Spiral, PathShape::Dolly, PathShape::Bullet] {
             let whole = wall(4.0);
-            let orbit = Orbit::by(flight, &whole, 5);
+            let orbit = CameraPath::new(&whole, shape, 5);
             let away = |i: usize| orbit.at(i).camera.centre().distance(DVec3::Z * 4.0);
-            let nearer = flight != Flight::Bullet;
-            assert_eq!(away(4) < 0.9 * away(0), nearer, "{flight:?}");
-            assert_eq!(orbit.stands(), orbit.at(0).time == orbit.at(4).time);
+            let nearer = shape != PathShape::Bullet;
+            assert_eq!(away(4) < 0.9 * away(0), nearer, "{shape:?}");
+            assert_eq!(orbit.has_fixed_time(), orbit.at(0).time == orbit.at(4).time);
         }
     }
 
@@ -438,7 +431,7 @@ mod tests {
                 assert!(log_scale < -13.0 || (20.0..200.0).contains(&sigma), "{sigma}");
             }
         }
-        let (first, distance) = start(&wall(4.0));
+        let (first, distance) = initial_view(&wall(4.0));
         assert_eq!(first, orbit(&wall(4.0), 12)[0].camera);
         assert!((first.centre().distance(DVec3::Z * 4.0) - distance).abs() < 1e-9);
         let empty = orbit(&Scene::of(Gaussians::default()), 3);
@@ -446,21 +439,11 @@ mod tests {
     }
 
     #[test]
-    fn one_camera_is_enough_and_the_input_needs_one() {
+    fn one_camera_is_enough() {
         let path = orbit(&with_cameras(wall(2.0), &[DVec3::ZERO]), 5);
         assert!(path.iter().all(|shot| shot.camera.centre().length() < 0.3));
         assert_eq!(orbit(&wall(2.0), 1).len(), 1);
         let known = with_cameras(wall(2.0), &[DVec3::ZERO]);
-        assert_eq!(start(&known), (known.cameras[0].camera, 2.0));
-        assert!(input(&wall(2.0)).is_err());
-    }
-
-    #[test]
-    fn another_size_keeps_the_whole_picture() {
-        let k = Intrinsics { fx: 80.0, fy: 82.0, cx: 48.0, cy: 31.0, width: 100, height: 60 };
-        let twice = resized(&k, 200, 120);
-        assert_eq!((twice.fx, twice.cx, twice.cy), (160.0, 96.0, 62.0));
-        let wide = resized(&k, 300, 60);
-        assert_eq!((wide.fx, wide.fy, wide.cx, wide.cy), (80.0, 82.0, 148.0, 31.0));
+        assert_eq!(initial_view(&known), (known.cameras[0].camera, 2.0));
     }
 }
