@@ -45,8 +45,8 @@ Reconstructs the clip with everything, then with one component off at a time, po
   track-refinement  tracks are chained flow
   exposure          all frames are taken to be equally exposed
   rounds            masks and cameras are found once, not in turns
-The last five track the clip anew; flow is computed once, and left out of the times, as are depth and pointmaps
-of --models. Its networks for masks and features are asked in every run.
+The last five track the clip anew; flow is computed once, and left out of the times, as are depth and
+pointmaps of --models. Its networks for masks and features are asked in every run.
 
 Every run is measured on the clip's frames, whole and inside the movers: those of CLIP/truth/masks, else
 of the full run's masks. Where CLIP has a `truth` folder, as `synth` writes it, the held-out cameras are
