@@ -10,6 +10,7 @@
 //! | `photometric` | photometric evidence that a pixel moved |
 //! | `plate` | the background plate: what each frame would show if nothing moved |
 //! | `masks` | dense motion masks that follow image edges, from the residuals |
+//! | `carried` | masks carried between frames along the movers' own motion |
 //! | `prompted` | masks of movers that a segmentation network draws at prompted points |
 //! | `mended` | repairs supplied masks that flicker or slip, from neighbouring frames and measured motion |
 //! | `stereo` | static depth from the frames of the whole clip |

@@ -2,8 +2,9 @@
 //!
 //! If an object moves rigidly, its points are like a static world relative to the camera, and structure from
 //! motion solves for both. An object that does not rotate, such as a car on a straight road, has a solution
-//! without the ambiguities of one that does, and it is preferred if it explains the tracks as well. Otherwise the object is modelled as a flat upright object facing the camera, and
-//! the change of its size in the image gives the change of its distance.
+//! without the ambiguities of one that does, and it is preferred if it explains the tracks as well. Otherwise the
+//! object is modelled as a flat upright object facing the camera, and the change of its size in the image gives
+//! the change of its distance.
 
 mod believed;
 mod joined;

@@ -11,9 +11,10 @@
 //! penalty on velocity ties it to that place; under a penalty on jerk it could drift along with the camera.
 //! If the vertical direction is known, an object that flies, rolls or drives has small acceleration except
 //! for a constant downward one. This is a stronger constraint than small jerk, because no sideways curve is
-//! attributed to the mover's own path. If gravity is known from another object that flies, then how fast this one
-//! seems to fall tells its distance, also if the camera moves as smoothly as it does. The evidence of the path (its marginal likelihood under a Gaussian
-//! model of the velocities, accelerations or jerks) selects the model.
+//! attributed to the mover's own path. If gravity is known from another object that flies, then how fast this
+//! one seems to fall tells its distance, also if the camera moves as smoothly as it does. The evidence of the
+//! path (its marginal likelihood under a Gaussian model of the velocities, accelerations or jerks) selects the
+//! model.
 
 use glam::{DMat3, DVec3};
 use nalgebra::{Cholesky, DMatrix, DVector};
@@ -182,8 +183,8 @@ struct Fit {
     evidence: f64,
     /// The path of the centre of mass without the fall.
     path: DVector<f64>,
-    /// The path of the observed middle relative to the camera, and its derivative with respect to the unit's inverse; set if the
-    /// model has a fall.
+    /// The path of the observed middle relative to the camera, and its derivative with respect to the unit's
+    /// inverse; set if the model has a fall.
     seen: Option<(Vec<DVec3>, Vec<DVec3>)>,
     /// The downward acceleration of an unknown fall, world units per squared step between places.
     fall: Option<Estimate>,

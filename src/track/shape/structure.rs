@@ -137,7 +137,8 @@ impl Clip<'_> {
     }
 
     /// The accepted structure from motion in the longest part of a run in which its depths agree with the
-    /// sizes in the image and its rotation has no abrupt step. `solve` gives the cameras relative to the object from a run and the tracks in it.
+    /// sizes in the image and its rotation has no abrupt step. `solve` gives the cameras relative to the object
+    /// from a run and the tracks in it.
     fn trimmed(
         &self,
         mut run: Range<usize>,
