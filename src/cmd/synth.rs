@@ -25,11 +25,11 @@ pan     a car passes in a street, the camera turns in place and follows it
 follow  the same, the camera in the hands of one who stands
 
 In the last five movers cast shadows. DIR/frames holds the images; DIR/truth intrinsics, poses
-(TUM), depth (EXR), flow (.flo), masks, point tracks (.npz), and held-out cameras 8, 18 and 30 % of the median depth aside,
-every second time, with masks of the movers there and of the pixels that some frame saw.
+(TUM), depth (EXR), flow (.flo), masks, point tracks (.npz), and held-out cameras 8, 18 and 30 % of the
+median depth aside, every second time, with masks of the movers there and of the pixels that some frame saw.
 
---coded is for clips in which nothing moves but as one rigid thing: rigid, still, tripod. Depth, what moves, the camera
-and the motion stand in the colours of its frames; their brightness is that of the clip.
+--coded is for clips in which nothing moves but as one rigid thing: rigid, still, tripod. Depth, what moves,
+the camera and the motion stand in the colours of its frames; their brightness is that of the clip.
 
 Example:
   splat4d synth rigid -o clip --frames 24 --size 320x180

@@ -21,8 +21,8 @@ use super::staged::{Cameras, Staged};
 use super::{child, interrupt, parsed, values};
 
 const AFTER_HELP: &str = "\
-Each scene is made, measured and rendered by commands of this program, one after the other. What is done is kept
-in OUT/SCENE (the answers as NAME.json, what was said as NAME.log, the scene, test images beside their
+Each scene is made, measured and rendered by commands of this program, one after the other. What is done is
+kept in OUT/SCENE (the answers as NAME.json, what was said as NAME.log, the scene, test images beside their
 truth): the same command again goes on where it was stopped, and does anew what other options change. A scene
 that fails is counted as failed, and then there is no mean: one over the others would flatter.
 
