@@ -41,36 +41,20 @@ const SHIFT: i32 = 2;
 /// Image width that numbers of pixels are for; wider images are sampled more coarsely.
 const WIDTH: usize = 320;
 
-/// The masks with what neighbouring frames add to them. `more` are the log odds that `judged` was segmented
-/// with.
+/// The masks with what neighbouring frames add to them. `masks` are those that `judged` gives by itself.
 pub(super) fn revised(
     judged: &Judged<'_>,
     plates: &[Evidence],
-    more: Option<&[Vec<f32>]>,
     mut masks: Vec<Image>,
     work: &mut Work,
     part: &str,
     shares: std::ops::Range<f64>,
 ) -> Result<Vec<Image>> {
-    let frames = masks.len();
-    let own = |frame: usize| {
-        let mut odds = judged.gathered(frame);
-        if let Some(more) = more {
-            odds.iter_mut().zip(&more[frame]).for_each(|(odds, more)| *odds += more);
-        }
-        odds
-    };
-    let own: Vec<Vec<f32>> = (0..frames).into_par_iter().map(own).collect();
     for round in 0..ROUNDS {
         let carrier = Carrier::new(judged.observed.frames, judged.observed.flow, &masks);
-        let added = |frame: usize| {
-            let mut added = carrier.added(frame, &own[frame], &plates[frame].shade);
-            if let Some(more) = more {
-                added.iter_mut().zip(&more[frame]).for_each(|(added, more)| *added += more);
-            }
-            added
-        };
-        let added: Vec<Vec<f32>> = (0..frames).into_par_iter().map(added).collect();
+        let added =
+            |(frame, own): (usize, &Vec<f32>)| carrier.added(frame, own, &plates[frame].shade);
+        let added: Vec<Vec<f32>> = judged.gathered.par_iter().enumerate().map(added).collect();
         let part = format!("{part}/carried-{round}");
         masks = judged.segment(Some(&added), work, &part, shares.clone())?;
     }

@@ -173,11 +173,10 @@ impl Distance {
 /// `None` for that object, and for those whose path shows no fall or a clearly different one. `falls` are the
 /// downward accelerations of the objects' own paths. All in world units per squared frame.
 pub(super) fn shared_gravity(falls: &[Option<Estimate>]) -> Vec<Option<Estimate>> {
-    let relative = |fall: &Estimate| fall.deviation / fall.value.abs();
     let falls_down = |fall: &Estimate| fall.value > FALLS * fall.deviation;
     let of = |fall: &Option<Estimate>| fall.filter(falls_down);
     let known = falls.iter().enumerate().filter_map(|(i, fall)| Some((i, of(fall)?)));
-    let best = known.min_by(|a, b| relative(&a.1).total_cmp(&relative(&b.1)));
+    let best = known.min_by(|a, b| a.1.relative().total_cmp(&b.1.relative()));
     let gravity = |(i, fall): (usize, &Option<Estimate>)| {
         let (_, gravity) = best.filter(|(best, _)| *best != i)?;
         let ratio = of(fall)?.value / gravity.value;
@@ -402,7 +401,7 @@ fn smoothness(
         (0..places.len()).filter(|k| unknown[*k] <= GAP || goes_on(*k)).collect();
     let (mut sum, mut information) = (0.0, 0.0);
     let mut farther = vec![0.0; places.len()];
-    let mut falls = Vec::new();
+    let (mut falls, mut falling) = (Vec::new(), false);
     for run in frames.chunk_by(|a, b| a + 1 == *b) {
         let run = run[0]..run[0] + run.len();
         let places = &places[run.clone()];
@@ -411,6 +410,7 @@ fn smoothness(
             continue;
         };
         falls.extend(found.fall);
+        falling |= found.farther.is_some();
         let weight = found.unit.deviation.powi(-2);
         (sum, information) = (sum + weight * found.unit.inverse, information + weight);
         if let Some(by) = found.farther {
@@ -418,12 +418,12 @@ fn smoothness(
         }
     }
     let (inverse, deviation) = (sum / information, information.powf(-0.5));
-    // A wrong gravity puts the object at a distance that is wrong by the same factor.
-    let of_gravity = gravity.map_or(0.0, |gravity| gravity.deviation / gravity.value);
+    // A wrong gravity puts the object at a distance that is wrong by the same factor. Where another model than
+    // the fall explains the path better, gravity has no part in the distance.
+    let of_gravity = gravity.filter(|_| falling).map_or(0.0, |gravity| gravity.relative());
     let deviation = (deviation / inverse).hypot(of_gravity);
     let scale = Estimate { value: -inverse.ln(), deviation };
-    let relative = |fall: &Estimate| fall.deviation / fall.value.abs();
-    let fall = falls.into_iter().min_by(|a, b| relative(a).total_cmp(&relative(b)));
+    let fall = falls.into_iter().min_by(|a, b| a.relative().total_cmp(&b.relative()));
     (inverse > 0.0 && deviation < LINEAR).then_some(Smoothness { scale, farther, fall })
 }
 

@@ -93,26 +93,26 @@ pub(super) fn segment(
     judged.segment(None, work, part, middle..shares.end)
 }
 
-/// The evidence of motion of each pixel by itself.
+/// The evidence of motion of each pixel, gathered from its own frame and the neighbouring ones.
 pub(super) struct Judged<'a> {
     pub observed: Observed<'a>,
-    plates: Option<&'a [Evidence]>,
     /// By frame: log odds.
-    odds: Vec<Vec<f32>>,
-    /// By frame: the support of each pixel.
-    support: Vec<Vec<f32>>,
+    pub gathered: Vec<Vec<f32>>,
+    stage: Stage,
 }
 
 impl<'a> Judged<'a> {
     /// Computes the evidence of all pixels.
     pub fn new(
         observed: Observed<'a>,
-        plates: Option<&'a [Evidence]>,
+        plates: Option<&[Evidence]>,
         work: &mut Work,
         part: &str,
         shares: std::ops::Range<f64>,
     ) -> Result<Judged<'a>> {
-        let mut odds = all_odds(observed, work, part, stage(plates), shares)?;
+        // Plates exist only once depth is known.
+        let stage = if plates.is_some() { Stage::Depth } else { Stage::Masks };
+        let mut odds = all_odds(observed, work, part, stage, shares)?;
         let mut support = observed.support();
         for (frame, plate) in plates.unwrap_or_default().iter().enumerate() {
             for (i, said) in plate.odds.iter().enumerate().filter(|(_, said)| !said.is_nan()) {
@@ -120,21 +120,26 @@ impl<'a> Judged<'a> {
                 support[frame][i] = CERTAIN;
             }
         }
-        Ok(Judged { observed, plates, odds, support })
+        let gathered = |frame: usize| {
+            let mut gathered = gather(observed.flow, &odds, &support, frame);
+            if let Some(plate) = plates.and_then(|plates| plates.get(frame)) {
+                beside_plate(&mut gathered, plate, &observed.seen[frame].support);
+            }
+            gathered
+        };
+        let gathered = (0..odds.len()).into_par_iter().map(gathered).collect();
+        Ok(Judged { observed, gathered, stage })
     }
 
-    /// Log odds of a frame's pixels, combined with those of the same points in neighbouring frames.
-    pub fn gathered(&self, frame: usize) -> Vec<f32> {
-        let Observed { flow, seen, .. } = self.observed;
-        let mut gathered = gather(flow, &self.odds, &self.support, frame);
-        if let Some(plate) = self.plates.and_then(|plates| plates.get(frame)) {
-            beside_plate(&mut gathered, plate, &seen[frame].support);
+    /// Adds log odds from another source to each frame's.
+    pub fn add(&mut self, more: &[Vec<f32>]) {
+        for (odds, more) in self.gathered.iter_mut().flatten().zip(more.iter().flatten()) {
+            *odds += more;
         }
-        gathered
     }
 
     /// Computes a motion mask per frame, one channel in [0, 1]. `more` are log odds that are added to each
-    /// frame's.
+    /// frame's for these masks.
     pub fn segment(
         &self,
         more: Option<&[Vec<f32>]>,
@@ -146,7 +151,7 @@ impl<'a> Judged<'a> {
         let (width, height) = super::intrinsics_size(flow);
         let segmented = |range: std::ops::Range<usize>| {
             let segment = |frame: usize| {
-                let mut odds = self.gathered(frame);
+                let mut odds = self.gathered[frame].clone();
                 if let Some(more) = more {
                     odds.iter_mut().zip(&more[frame]).for_each(|(odds, more)| *odds += more);
                 }
@@ -157,13 +162,8 @@ impl<'a> Judged<'a> {
             range.into_par_iter().map(segment).collect()
         };
         let part = format!("{part}/masks");
-        work.frames(&part, frames.len(), segmented, stage(self.plates), shares)
+        work.frames(&part, frames.len(), segmented, self.stage, shares)
     }
-}
-
-/// The progress stage: plates exist only once depth is known.
-fn stage(plates: Option<&[Evidence]>) -> Stage {
-    if plates.is_some() { Stage::Depth } else { Stage::Masks }
 }
 
 impl Observed<'_> {

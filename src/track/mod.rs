@@ -353,7 +353,7 @@ pub fn track_observed(
     let mut drawn = None;
     if supplied.is_none() && (!tripod || sources.masks.is_some()) {
         let observed = masks::Observed { frames, cameras: &cameras, flow, seen: &seen };
-        let judged = masks::Judged::new(observed, None, &mut work, part, 0.5..0.75)?;
+        let mut judged = masks::Judged::new(observed, None, &mut work, part, 0.5..0.75)?;
         if !tripod {
             masks = judged.segment(None, &mut work, part, 0.75..1.0)?;
         }
@@ -367,7 +367,8 @@ pub fn track_observed(
                 &mut work,
                 part,
             )?;
-            masks = judged.segment(Some(&found.odds), &mut work, "last/fused", 1.0..1.0)?;
+            judged.add(&found.odds);
+            masks = judged.segment(None, &mut work, "last/fused", 1.0..1.0)?;
             notes.push(quality::masks_note(found.accepted, frames.len()));
             told.masks = Some(found.accepted);
             drawn = Some(found.odds);
@@ -391,10 +392,12 @@ pub fn track_observed(
         let plates = plates(&static_world, &masks, &mut work, "last/plates", 0.1..0.2)?;
         let observed = masks::Observed { frames, cameras: &cameras, flow, seen: &seen };
         let part = "last/masks";
-        let judged = masks::Judged::new(observed, Some(&plates), &mut work, part, 0.2..0.25)?;
-        masks = judged.segment(drawn.as_deref(), &mut work, part, 0.25..0.3)?;
-        let (drawn, shares) = (drawn.as_deref(), 0.25..0.3);
-        masks = carried::revised(&judged, &plates, drawn, masks, &mut work, part, shares)?;
+        let mut judged = masks::Judged::new(observed, Some(&plates), &mut work, part, 0.2..0.25)?;
+        if let Some(drawn) = &drawn {
+            judged.add(drawn);
+        }
+        masks = judged.segment(None, &mut work, part, 0.25..0.28)?;
+        masks = carried::revised(&judged, &plates, masks, &mut work, part, 0.28..0.3)?;
     }
     let mut ground = None;
     if cameras.have_parallax() && options.stereo && options.depth.is_none() {

@@ -16,6 +16,11 @@ impl Estimate {
             deviation: (a + b).sqrt().recip(),
         }
     }
+
+    /// The standard deviation relative to the value.
+    pub(super) fn relative(&self) -> f64 {
+        self.deviation / self.value.abs()
+    }
 }
 
 /// The robust kernel of the targets of a path.

@@ -67,7 +67,7 @@ pub(super) fn ask(
     for (number, mask) in masks.iter().enumerate() {
         let said = work.part(&numbered(&format!("{part}/prompted"), number), |_| {
             let picture = &judged.observed.frames[number];
-            let frame = Frame::new(number, picture, judged.gathered(number), mask);
+            let frame = Frame::new(number, picture, judged.gathered[number].clone(), mask);
             let frame = Frame { sure: depth.and_then(|depth| depth.sure(number)), ..frame };
             let handed: Vec<Image> =
                 before.iter().map(|odds| warped(judged.observed.flow, number, odds)).collect();
