@@ -12,7 +12,8 @@
 //!
 //! If supplied depth covers the object, it replaces all of these.
 //!
-//! Contact and smoothness each have a standard deviation and are averaged with inverse-variance weights.
+//! Contact and smoothness each have a standard deviation and are averaged with inverse-variance weights. Where
+//! they contradict each other, contact is right: it is seen, and smoothness is an assumption.
 //! Without contact, the bound from occlusion takes its place. If the object is connected with another object,
 //! the depth of that object replaces the bound.
 
@@ -356,8 +357,9 @@ struct Smoothness {
     fall: Option<Estimate>,
 }
 
-/// The scale and the changes of a path that make it smoothest. `first` is the object's first frame, `touching`
-/// the scale from contact; `gravity` as in [`distance`].
+/// The scale and the changes of a path that make it smoothest; `None` if the path does not determine the
+/// scale, or if contact contradicts it. `first` is the object's first frame, `touching` the scale from contact;
+/// `gravity` as in [`distance`].
 fn smoothness(
     path: &[Seen],
     cameras: &Cameras,
@@ -365,7 +367,7 @@ fn smoothness(
     touching: Option<Estimate>,
     gravity: Option<Estimate>,
 ) -> Option<Smoothness> {
-    let touching = touching.map(|Estimate { value, deviation }| {
+    let touching_inverse = touching.map(|Estimate { value, deviation }| {
         let inverse = (-value).exp();
         Estimate { value: inverse, deviation: deviation * inverse }
     });
@@ -406,7 +408,7 @@ fn smoothness(
         let run = run[0]..run[0] + run.len();
         let places = &places[run.clone()];
         let down = gravity.map(|gravity| gravity.value);
-        let Some(found) = smooth::smoothest(places, cameras.up(), touching, down) else {
+        let Some(found) = smooth::smoothest(places, cameras.up(), touching_inverse, down) else {
             continue;
         };
         falls.extend(found.fall);
@@ -424,7 +426,9 @@ fn smoothness(
     let deviation = (deviation / inverse).hypot(of_gravity);
     let scale = Estimate { value: -inverse.ln(), deviation };
     let fall = falls.into_iter().min_by(|a, b| a.relative().total_cmp(&b.relative()));
-    (inverse > 0.0 && deviation < LINEAR).then_some(Smoothness { scale, farther, fall })
+    let holds = inverse > 0.0 && deviation < LINEAR;
+    let agrees = touching.is_none_or(|touching| scale.agrees_with(touching));
+    (holds && agrees).then_some(Smoothness { scale, farther, fall })
 }
 
 /// For each frame in which the middle is unknown, the length in frames of the gap that contains it; 0
@@ -522,6 +526,12 @@ mod tests {
         cameras.ground = Some(Ground::known(DVec3::NEG_Y, -2.0));
         let with = error(&cameras);
         assert!(with < 0.03 && without > 0.1, "{with} {without}");
+        // It does not count against a contact that it contradicts.
+        let beside = |contact: f64| {
+            let contact = Estimate { value: contact - unit.ln(), deviation: 0.03 };
+            smoothness(&seen, &cameras, 0, Some(contact), None)
+        };
+        assert!(beside(0.0).is_some() && beside(0.3).is_none());
     }
 
     #[test]

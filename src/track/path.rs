@@ -17,6 +17,12 @@ impl Estimate {
         }
     }
 
+    /// Whether an independent estimate of the same quantity is within three standard deviations.
+    pub(super) fn agrees_with(self, other: Estimate) -> bool {
+        let deviation = self.deviation.hypot(other.deviation);
+        (self.value - other.value).abs() <= 3.0 * deviation
+    }
+
     /// The standard deviation relative to the value.
     pub(super) fn relative(&self) -> f64 {
         self.deviation / self.value.abs()

@@ -4,7 +4,8 @@
 //! arbitrary unit, and c(t) the camera's centre in the world, the mover is at c(t) + y(t) / κ. A mover moves
 //! smoothly by itself and a hand-held camera does not, so κ is the value that makes y + κ c smoothest
 //! (trajectory triangulation, Park et al., ECCV 2010). The equations are linear in κ and also give its
-//! standard deviation; that is large if the camera's own path is as smooth as the mover's.
+//! standard deviation; that is large if the camera's own path is as smooth as the mover's: then what they have
+//! in common by chance lasts for many frames, so that few of the frames are independent.
 //!
 //! The measure of smoothness depends on the mover. A travelling object has small jerk; gravity then has no
 //! cost. An object that stays in one place, such as a person who stands and gestures, has small velocity. A
@@ -73,6 +74,9 @@ const ROUNDS: usize = 4;
 const VELOCITY: usize = 1;
 const ACCELERATION: usize = 2;
 const JERK: usize = 3;
+
+/// Upper bound of the correlation of neighbouring frames' terms of a unit; it is estimated from few frames.
+const ALIKE: f64 = 0.95;
 
 /// Prior standard deviation of the length of a fall during half of the path's duration, as a multiple of the
 /// mover's distance.
@@ -270,7 +274,7 @@ impl Path {
             let mixture = scales.iter().map(|s| (TAIL - 2.0) * -s.ln() + TAIL * (s - 1.0));
             fit.evidence += mixture.sum::<f64>();
             let squared: Vec<f64> = (0..self.frames - order)
-                .map(|t| (0..3).map(|axis| fit.difference(&row, t, axis).powi(2)).sum())
+                .map(|t| (0..3).map(|axis| difference(&row, &fit.path, t, axis).powi(2)).sum())
                 .collect();
             // Reweighted as under Student's distribution.
             let weight = |s: f64, spread: f64| (TAIL + 3.0) / (TAIL + 3.0 * s / spread.max(1e-300));
@@ -358,8 +362,9 @@ impl Path {
                 - differences
                 + free_of_differences;
             if best.as_ref().is_none_or(|b| evidence < b.evidence) {
-                let deviation = (rest / free / information).sqrt();
                 let path = &xy + inverse * &xc;
+                let lasting = lasting(order, scales, &path, &xc);
+                let deviation = (rest / free / information * lasting).sqrt();
                 let fallen = fallen.map(|(fall, known, [own, camera])| {
                     let value = own / inverse + camera;
                     let apart = (rest / free / known).sqrt() / inverse;
@@ -390,11 +395,26 @@ impl Path {
     }
 }
 
-impl Fit {
-    /// A difference of the path along an axis, with the given coefficients.
-    fn difference(&self, row: &[f64], t: usize, axis: usize) -> f64 {
-        row.iter().enumerate().map(|(a, p)| p * self.path[3 * (t + a) + axis]).sum()
-    }
+/// The factor on the variance of a path's unit by which the differences of its `path` are not independent:
+/// that of sums of an AR(1) process. A term of the sum that determines the unit is the product of a difference
+/// of the mover's path and one of the camera's. If both curve slowly, the terms of neighbouring frames are
+/// alike, and the frames tell hardly more than a few of them would.
+fn lasting(order: usize, scales: &[f64], path: &DVector<f64>, camera: &DVector<f64>) -> f64 {
+    let row = binomials(order);
+    let term = |(t, scale): (usize, &f64)| {
+        let of = |axis| difference(&row, path, t, axis) * difference(&row, camera, t, axis);
+        scale * (0..3).map(of).sum::<f64>()
+    };
+    let terms: Vec<f64> = scales.iter().enumerate().map(term).collect();
+    let next: f64 = terms.windows(2).map(|pair| pair[0] * pair[1]).sum();
+    let squares: f64 = terms.iter().map(|term| term * term).sum();
+    let correlation = (next / squares.max(f64::MIN_POSITIVE)).clamp(0.0, ALIKE);
+    (1.0 + correlation) / (1.0 - correlation)
+}
+
+/// A difference of a path along an axis, with the given coefficients.
+fn difference(row: &[f64], path: &DVector<f64>, t: usize, axis: usize) -> f64 {
+    row.iter().enumerate().map(|(a, p)| p * path[3 * (t + a) + axis]).sum()
 }
 
 /// The coefficients of the difference of an order: −1, 1; 1, −2, 1; −1, 3, −3, 1.
@@ -521,6 +541,35 @@ mod tests {
         let found = unit(&places(0.0, 0.0005), None);
         assert!(found.is_none_or(|f| f.deviation > 0.2 * f.inverse.abs()), "{found:?}");
         assert!(unit(&places(0.02, 0.001)[..7], None).is_none());
+    }
+
+    #[test]
+    fn a_mover_that_curves_as_slowly_as_the_camera_tells_little() {
+        // Both follow slow waves of their own, seen almost without noise. By chance a part of the mover's wave
+        // is like the camera's, and looks like parallax.
+        let wave =
+            |t: f64, period: f64, phase: f64| (std::f64::consts::TAU * t / period + phase).sin();
+        let off = |phase: f64| {
+            let place = |t: usize| {
+                let t = t as f64;
+                let centre = DVec3::new(0.02 * t, 0.03 * wave(t, 30.0, 0.4), 0.0);
+                let own = 0.05 * wave(t, 24.0, phase);
+                let at = DVec3::new(0.05 * t - 0.7, own, 2.5 + 0.5 * own);
+                Place {
+                    relative: 0.5 * (at - centre),
+                    centre,
+                    across: 1e-4,
+                    along: 0.005,
+                    off_centre: DMat3::ZERO,
+                }
+            };
+            let places: Vec<Place> = (0..24).map(place).collect();
+            let Some(found) = unit(&places, Some(DVec3::NEG_Y)) else { return 0.0 };
+            (found.inverse - 0.5).abs() / found.deviation
+        };
+        let mut off: Vec<f64> = (0..12).map(|k| off(0.5 * f64::from(k))).collect();
+        off.sort_by(f64::total_cmp);
+        assert!(off[6] < 3.0 && off[10] < 12.0, "errors in standard deviations: {off:?}");
     }
 
     #[test]
