@@ -1,6 +1,6 @@
 //! Ordered submissions, waiting for them, and transfers between host and device.
 
-use super::buffer::{Buffer, ViewMut};
+use super::buffer::{Buffer, View, ViewMut};
 use super::device::Device;
 use super::meter::Detail;
 use super::recorder::{Recorder, Work};
@@ -233,11 +233,19 @@ impl Stream {
     /// # Errors
     /// [`Error::OutOfMemory`], or a failed submission.
     pub fn download<T: Pod>(&mut self, buffer: &Buffer<T>) -> Result<Vec<T>> {
-        let mut data = vec![T::zeroed(); buffer.len()];
+        self.download_from(buffer.view())
+    }
+
+    /// Waits for everything submitted so far and reads a part of a buffer.
+    ///
+    /// # Errors
+    /// As for [`download`](Self::download).
+    pub fn download_from<T: Pod>(&mut self, from: View<'_, T>) -> Result<Vec<T>> {
+        let mut data = vec![T::zeroed(); from.len()];
         if data.is_empty() {
             return Ok(data);
         }
-        let from = buffer.view().bound();
+        let from = from.bound();
         let readback = self.readback_of(from.bytes)?;
         let to = BoundRange { buffer: readback.clone(), offset: 0, bytes: from.bytes };
         let mut recorder = self.recorder(false)?;

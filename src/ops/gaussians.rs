@@ -228,35 +228,36 @@ impl GaussianBuffers {
     /// # Errors
     /// A failed submission.
     pub fn download_first(&self, stream: &mut Stream, len: usize) -> Result<Gaussians> {
-        let rows3 = |mut flat: Vec<f32>| -> Vec<[f32; 3]> {
-            flat.truncate(3 * len);
-            bytemuck::cast_slice(&flat).to_vec()
-        };
-        let mut rotations = stream.download(&self.rotations)?;
-        rotations.truncate(len);
-        let mut opacity_logits = stream.download(&self.opacity_logits)?;
-        opacity_logits.truncate(len);
+        let rows3 = |flat: Vec<f32>| -> Vec<[f32; 3]> { bytemuck::cast_slice(&flat).to_vec() };
+        Ok(Gaussians {
+            positions: rows3(stream.download_from(self.positions.range(0..3 * len))?),
+            log_scales: rows3(stream.download_from(self.log_scales.range(0..3 * len))?),
+            rotations: stream.download_from(self.rotations.range(0..len))?,
+            opacity_logits: stream.download_from(self.opacity_logits.range(0..len))?,
+            sh_degree: self.sh_degree,
+            sh: self.download_sh(stream, len)?,
+            motion_logits: Vec::new(),
+        })
+    }
+
+    /// Reads back the spherical harmonics of the first `len` rows, in the order of [`Gaussians::sh`].
+    ///
+    /// # Errors
+    /// A failed submission.
+    pub fn download_sh(&self, stream: &mut Stream, len: usize) -> Result<Vec<[f32; 3]>> {
         let coefficients = sh_coefficients(self.sh_degree);
         let mut sh = vec![[0.0f32; 3]; len * coefficients];
         let mut first = 0;
         for band in 0..=self.sh_degree as usize {
             let rows = SH_BAND[band] / 3;
-            let values = stream.download(&self.sh[band])?;
-            for (i, row) in values.chunks_exact(SH_BAND[band]).take(len).enumerate() {
+            let values = stream.download_from(self.sh[band].range(0..len * SH_BAND[band]))?;
+            for (i, row) in values.chunks_exact(SH_BAND[band]).enumerate() {
                 let to = i * coefficients + first;
                 sh[to..to + rows].copy_from_slice(bytemuck::cast_slice(row));
             }
             first += rows;
         }
-        Ok(Gaussians {
-            positions: rows3(stream.download(&self.positions)?),
-            log_scales: rows3(stream.download(&self.log_scales)?),
-            rotations,
-            opacity_logits,
-            sh_degree: self.sh_degree,
-            sh,
-            motion_logits: Vec::new(),
-        })
+        Ok(sh)
     }
 
     /// Views of the first `len` Gaussians, for a dispatch to read.

@@ -6,6 +6,7 @@
 
 mod arrays;
 mod camera;
+mod deferred;
 mod device;
 mod error;
 mod ops;

@@ -2,6 +2,7 @@
 
 use crate::arrays;
 use crate::camera::Camera;
+use crate::deferred::{Array, Deferred};
 use crate::device::Device;
 use crate::error::raised;
 use crate::scene::Scene;
@@ -17,34 +18,52 @@ pub struct Rendered {
     /// Premultiplied colour without background, and alpha; float32 of shape (height, width, 4).
     #[pyo3(get)]
     rgba: Py<PyArray3<f32>>,
-    /// Depths (camera z, in world units) summed with their blending weights: divided by alpha, this is the
-    /// mean depth; float32 of shape (height, width).
-    #[pyo3(get)]
-    depth: Py<PyArray2<f32>>,
+    depth: Depth,
+}
+
+enum Depth {
+    Here(Py<PyArray2<f32>>),
+    /// On a trainer's device until it is read.
+    Deferred(Deferred),
 }
 
 impl Rendered {
     /// Moves the crate's images into NumPy arrays.
     pub fn of(py: Python<'_>, rendered: renderer::Rendered) -> PyResult<Rendered> {
-        Ok(Rendered {
-            rgba: arrays::of_image(py, rendered.rgba)?.unbind(),
-            depth: arrays::of_map(py, rendered.depth)?.unbind(),
-        })
+        let depth = Depth::Here(arrays::of_map(py, rendered.depth)?.unbind());
+        Ok(Rendered { rgba: arrays::of_image(py, rendered.rgba)?.unbind(), depth })
     }
 
-    /// Copies the arrays into the crate's images.
-    fn images(&self, py: Python<'_>) -> PyResult<renderer::Rendered> {
-        let (rgba, depth) = (self.rgba.bind(py), self.depth.bind(py));
+    /// An image whose depth stays on the device until it is read.
+    pub fn with_depth(py: Python<'_>, rgba: Image, depth: Deferred) -> PyResult<Rendered> {
+        let rgba = arrays::of_image(py, rgba)?.unbind();
+        Ok(Rendered { rgba, depth: Depth::Deferred(depth) })
+    }
+
+    /// The colour as the crate's image. The depth stays empty: compositing does not read it.
+    fn colour(&self, py: Python<'_>) -> PyResult<renderer::Rendered> {
+        let rgba = self.rgba.bind(py);
         let (height, width) = (rgba.shape()[0] as u32, rgba.shape()[1] as u32);
         Ok(renderer::Rendered {
             rgba: Image { width, height, channels: 4, pixels: rgba.to_vec()? },
-            depth: Image { width, height, channels: 1, pixels: depth.to_vec()? },
+            depth: Image { width, height, channels: 1, pixels: Vec::new() },
         })
     }
 }
 
 #[pymethods]
 impl Rendered {
+    /// Depths (camera z, in world units) summed with their blending weights: divided by alpha, this is the
+    /// mean depth; float32 of shape (height, width). That of `Trainer.forward` is copied from the device when
+    /// it is read.
+    #[getter]
+    fn depth<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
+        match &self.depth {
+            Depth::Here(depth) => Ok(depth.bind(py).clone()),
+            Depth::Deferred(depth) => Ok(depth.get(py, Array::Depth)?.cast_into()?),
+        }
+    }
+
     /// The colour composited over a background (red, green, blue); float32 of shape (height, width, 3).
     #[pyo3(signature = (background = [0.0; 3]))]
     fn over<'py>(
@@ -52,7 +71,7 @@ impl Rendered {
         py: Python<'py>,
         background: [f32; 3],
     ) -> PyResult<Bound<'py, PyArray3<f32>>> {
-        let images = self.images(py)?;
+        let images = self.colour(py)?;
         let image = py.detach(|| images.over(background));
         arrays::of_image(py, image)
     }
@@ -60,7 +79,8 @@ impl Rendered {
     /// Mean depth (camera z, in world units), 0 where alpha is 1e-3 or less; float32 of shape (height,
     /// width).
     fn mean_depth<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
-        let images = self.images(py)?;
+        let mut images = self.colour(py)?;
+        images.depth.pixels = self.depth(py)?.to_vec()?;
         let image = py.detach(|| images.mean_depth());
         arrays::of_map(py, image)
     }

@@ -2,6 +2,7 @@
 
 use crate::arrays;
 use crate::camera::Camera;
+use crate::deferred::{self, Array, Deferred, GradientSource, Unread};
 use crate::device::Device;
 use crate::error::raised;
 use crate::renderer::Rendered;
@@ -10,12 +11,12 @@ use crate::settings;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use splat4d::gpu::{Buffer, Stream};
-use splat4d::train::own_loss::{Differentiated, OwnGradients, Pass, Rendered as Seen};
+use splat4d::gpu::{Buffer, Readback, Stream, Ticket};
+use splat4d::train::own_loss::{Differentiated, OwnGradients, Pass, Rendered as Seen, Updated};
 use splat4d::train::{self, MotionStart, SceneOptimiser, TrainSettings, TrainingView};
-use splat4d::types::{Gaussians, Image, sh_coefficients};
-use splat4d::{gpu, renderer, scene, types};
-use std::sync::{Arc, Mutex, MutexGuard};
+use splat4d::types::{Image, sh_coefficients};
+use splat4d::{gpu, scene, types};
+use std::sync::{Arc, Mutex, MutexGuard, Weak};
 use std::time::{Duration, Instant};
 
 /// Longest run of steps between two checks for Ctrl-C and two progress callbacks.
@@ -107,18 +108,23 @@ impl Progress {
 /// `splat4d.Error` for numbers out of range or if the device runs out of memory.
 #[pyclass(frozen, module = "splat4d")]
 pub struct Trainer {
-    state: Mutex<State>,
+    state: Arc<Mutex<State>>,
     /// The initial scene; its cameras and `up` stay as they are.
     start: Arc<scene::Scene>,
     settings: TrainSettings,
 }
 
-struct State {
+/// What a trainer has on its device.
+pub struct State {
     device: gpu::Device,
     trainer: Kind,
     stream: Stream,
     own: Own,
     gradients: Option<PixelGradients>,
+    /// Memory for the rendered colour, reused while the size of the image stays.
+    colour: Option<Readback<[f32; 4]>>,
+    /// Arrays of the step that Python may still read.
+    unread: Vec<Weak<Unread>>,
 }
 
 enum Kind {
@@ -144,11 +150,12 @@ impl Kind {
     }
 }
 
-/// A step with the caller's loss.
+/// A step with the caller's loss. What was submitted last need not have finished.
 enum Own {
     Nothing,
     Forward(Pass<Seen>),
-    Backward(Pass<Differentiated>),
+    Backward(Pass<Differentiated>, Ticket),
+    Updated(Pass<Updated>, Ticket),
 }
 
 fn out_of_turn(what: &str) -> splat4d::Error {
@@ -163,26 +170,82 @@ struct PixelGradients {
     depth: Buffer<f32>,
 }
 
-/// Gradients with respect to the parameters, on the host.
-struct Gradients {
-    gaussians: Gaussians,
-    pose: Vec<f32>,
-    motion: Option<MotionGradients>,
-}
-
-struct MotionGradients {
-    /// With respect to the control points' paths, or to the network's parameters.
-    model: Vec<f32>,
-    log_radii: Vec<f32>,
-}
-
 impl State {
     /// Ends the step with the caller's loss, if one is in progress.
     fn end_own(&mut self) -> splat4d::Result<()> {
-        match std::mem::replace(&mut self.own, Own::Nothing) {
+        self.keep()?;
+        let State { trainer, stream, own, .. } = self;
+        match std::mem::replace(own, Own::Nothing) {
             Own::Nothing => Ok(()),
-            Own::Forward(pass) => self.trainer.scene()?.conclude(pass).map(drop),
-            Own::Backward(pass) => self.trainer.scene()?.conclude(pass).map(drop),
+            Own::Forward(pass) => trainer.scene()?.conclude(pass).map(drop),
+            Own::Backward(pass, ticket) => {
+                stream.wait(ticket)?;
+                trainer.scene()?.conclude(pass).map(drop)
+            }
+            Own::Updated(pass, ticket) => {
+                stream.wait(ticket)?;
+                trainer.scene()?.conclude(pass).map(drop)
+            }
+        }
+    }
+
+    /// Ends the step with the caller's loss if its parameters have been updated: progress and scene then
+    /// include it.
+    fn end_update(&mut self) -> splat4d::Result<()> {
+        match self.own {
+            Own::Updated(..) => self.end_own(),
+            _ => Ok(()),
+        }
+    }
+
+    /// Copies the arrays of the step that Python may still read, before their memory changes.
+    fn keep(&mut self) -> splat4d::Result<()> {
+        for unread in std::mem::take(&mut self.unread) {
+            let Some(unread) = unread.upgrade() else { continue };
+            for (array, values) in unread.lock().expect("no holder panics").iter_mut() {
+                if values.is_none() {
+                    *values = Some(self.download(*array)?);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Notes arrays that Python may read later.
+    fn defer(&mut self, arrays: impl Iterator<Item = Array>) -> Arc<Unread> {
+        let unread = Arc::new(Unread::new(arrays.map(|array| (array, None)).collect()));
+        self.unread.push(Arc::downgrade(&unread));
+        unread
+    }
+
+    /// Waits for the device and reads an array of the step in progress.
+    pub fn download(&mut self, array: Array) -> splat4d::Result<Vec<f32>> {
+        let State { trainer, stream, own, .. } = self;
+        let scene = trainer.scene()?;
+        if array == Array::Depth {
+            let pixels = match own {
+                Own::Forward(pass) => scene.pixels(pass)?,
+                Own::Backward(pass, _) => scene.pixels(pass)?,
+                _ => return Err(deferred::gone(array)),
+            };
+            return stream.download(&pixels.depth);
+        }
+        let Own::Backward(pass, _) = own else { return Err(deferred::gone(array)) };
+        let n = scene.progress().gaussians;
+        let found = scene.gradients(pass)?;
+        let by = found.gaussians;
+        match (array, found.motion) {
+            (Array::Positions, _) => stream.download_from(by.positions.range(0..3 * n)),
+            (Array::LogScales, _) => stream.download_from(by.log_scales.range(0..3 * n)),
+            (Array::Rotations, _) => stream.download_from(by.rotations.range(0..n).floats()),
+            (Array::OpacityLogits, _) => stream.download_from(by.opacity_logits.range(0..n)),
+            (Array::Sh, _) => Ok(by.download_sh(stream, n)?.into_flattened()),
+            (Array::Pose, _) => stream.download(found.pose),
+            (Array::ControlLogRadii, Some((_, log_radii))) => stream.download(log_radii),
+            (Array::ControlPaths | Array::Network, Some((model, _))) => stream.download(model),
+            (Array::Depth | Array::ControlLogRadii | Array::ControlPaths | Array::Network, _) => {
+                Err(deferred::gone(array))
+            }
         }
     }
 
@@ -203,36 +266,49 @@ impl State {
         Ok(done)
     }
 
+    /// Renders. Returns the colour and what is known of the depth.
     fn forward(
         &mut self,
         camera: &types::Camera,
         time: f64,
-    ) -> splat4d::Result<renderer::Rendered> {
+    ) -> splat4d::Result<(Image, Arc<Unread>)> {
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
         self.end_own()?;
-        let State { trainer, stream, own, .. } = self;
+        let State { device, trainer, stream, own, colour, .. } = self;
         let scene = trainer.scene()?;
-        let pass = loop {
+        let rgba = loop {
             let mut recorder = stream.record()?;
             let mut pass = scene.forward(&mut recorder, camera, time)?;
+            let pixels = &scene.pixels(&pass)?.rgba;
+            let mut readback = match colour.take().filter(|readback| readback.len() == pixels.len()) {
+                Some(readback) => readback,
+                None => device.readback(pixels.len())?,
+            };
+            recorder.read_back(pixels.view(), &readback);
             let ticket = stream.submit(recorder)?;
             stream.wait(ticket)?;
-            if scene.fits(&mut pass)? {
-                break pass;
-            }
-            scene.conclude(pass)?;
+            let rgba = scene.fits(&mut pass)?.then(|| readback.read()).transpose()?;
+            *colour = Some(readback);
+            match rgba {
+                Some(rgba) => {
+                    *own = Own::Forward(pass);
+                    break rgba;
+                }
+                None => scene.conclude(pass)?,
+            };
         };
-        let pixels = scene.pixels(&pass)?;
-        let rgba = stream.download(&pixels.rgba)?.into_flattened();
-        let depth = stream.download(&pixels.depth)?;
-        *own = Own::Forward(pass);
-        Ok(renderer::Rendered {
-            rgba: Image { width, height, channels: 4, pixels: rgba },
-            depth: Image { width, height, channels: 1, pixels: depth },
-        })
+        let rgba = Image { width, height, channels: 4, pixels: rgba.into_flattened() };
+        Ok((rgba, self.defer([Array::Depth].into_iter())))
     }
 
-    fn backward(&mut self, rgba: &[f32], depth: Option<&[f32]>) -> splat4d::Result<Gradients> {
+    /// Computes the gradients, without waiting for them. Returns the arrays, with their shapes, and what is
+    /// known of them.
+    fn backward(
+        &mut self,
+        rgba: &[f32],
+        depth: Option<&[f32]>,
+        with_network: bool,
+    ) -> splat4d::Result<(Vec<(Array, Vec<usize>)>, Arc<Unread>)> {
         let rgba: &[[f32; 4]] = rgba.as_chunks().0;
         let fits = |by: &PixelGradients| by.rgba.len() == rgba.len();
         if !self.gradients.as_ref().is_some_and(fits) {
@@ -256,37 +332,52 @@ impl State {
         let by = OwnGradients { rgba: by.rgba.view(), depth };
         let pass = scene.backward(&mut recorder, pass, by)?;
         let ticket = stream.submit(recorder)?;
-        stream.wait(ticket)?;
-        let count = scene.progress().gaussians;
+        let n = scene.progress().gaussians;
         let found = scene.gradients(&pass)?;
-        let gaussians = found.gaussians.download_first(stream, count)?;
-        let pose = stream.download(found.pose)?;
-        let motion = match found.motion {
-            Some((model, log_radii)) => Some(MotionGradients {
-                model: stream.download(model)?,
-                log_radii: stream.download(log_radii)?,
-            }),
-            None => None,
-        };
-        *own = Own::Backward(pass);
-        Ok(Gradients { gaussians, pose, motion })
+        let mut shapes = vec![
+            (Array::Positions, vec![n, 3]),
+            (Array::LogScales, vec![n, 3]),
+            (Array::Rotations, vec![n, 4]),
+            (Array::OpacityLogits, vec![n]),
+            (Array::Sh, vec![n, sh_coefficients(found.gaussians.sh_degree), 3]),
+            (Array::Pose, vec![found.pose.len()]),
+        ];
+        if let Some((model, log_radii)) = found.motion {
+            let points = log_radii.len();
+            shapes.push((Array::ControlLogRadii, vec![points]));
+            shapes.push(match with_network {
+                true => (Array::Network, vec![model.len()]),
+                false => (Array::ControlPaths, vec![model.len() / (8 * points), points, 8]),
+            });
+        }
+        *own = Own::Backward(pass, ticket);
+        let unread = self.defer(shapes.iter().map(|(array, _)| *array));
+        Ok((shapes, unread))
     }
 
+    /// Updates the parameters, without waiting for it.
     fn update(&mut self) -> splat4d::Result<()> {
+        if !matches!(self.own, Own::Backward(..)) {
+            return Err(out_of_turn("update"));
+        }
+        // The regularisers are added to the gradients in place.
+        self.keep()?;
         let State { trainer, stream, own, .. } = self;
-        let pass = match std::mem::replace(own, Own::Nothing) {
-            Own::Backward(pass) => pass,
-            other => {
-                *own = other;
-                return Err(out_of_turn("update"));
-            }
+        let Own::Backward(pass, _) = std::mem::replace(own, Own::Nothing) else {
+            return Err(out_of_turn("update"));
         };
-        let scene = trainer.scene()?;
         let mut recorder = stream.record()?;
-        let pass = scene.update(&mut recorder, pass)?;
+        let pass = trainer.scene()?.update(&mut recorder, pass)?;
         let ticket = stream.submit(recorder)?;
-        stream.wait(ticket)?;
-        scene.conclude(pass).map(drop)
+        *own = Own::Updated(pass, ticket);
+        Ok(())
+    }
+}
+
+impl Drop for State {
+    fn drop(&mut self) {
+        // Python may still read arrays of the last step. After a failure they are gone, which reading them says.
+        let _ = self.keep();
     }
 }
 
@@ -340,9 +431,17 @@ impl Trainer {
                 )?),
             };
             let stream = device.stream()?;
-            Ok(State { device, trainer, stream, own: Own::Nothing, gradients: None })
+            Ok(State {
+                device,
+                trainer,
+                stream,
+                own: Own::Nothing,
+                gradients: None,
+                colour: None,
+                unread: Vec::new(),
+            })
         };
-        let state = Mutex::new(py.detach(make).map_err(raised)?);
+        let state = Arc::new(Mutex::new(py.detach(make).map_err(raised)?));
         Ok(Trainer { state, start: scene.scene.clone(), settings: chosen })
     }
 
@@ -382,10 +481,15 @@ impl Trainer {
         Ok(())
     }
 
-    /// The progress of training.
+    /// The progress of training. Waits for the device after `update`.
     #[getter]
-    fn progress(&self, py: Python<'_>) -> Progress {
-        Progress::of(py.detach(|| self.lock().trainer.progress()))
+    fn progress(&self, py: Python<'_>) -> PyResult<Progress> {
+        let read = || {
+            let mut state = self.lock();
+            state.end_update()?;
+            Ok(state.trainer.progress())
+        };
+        Ok(Progress::of(py.detach(read).map_err(raised)?))
     }
 
     /// Waits for the device and returns the terms of the last step's loss by name: `l1`, `ssim` and
@@ -419,6 +523,7 @@ impl Trainer {
     fn scene(&self, py: Python<'_>) -> PyResult<Scene> {
         let read = || {
             let state = &mut self.lock();
+            state.end_update()?;
             let scene = state.trainer.scene()?;
             Ok((scene.gaussians()?, scene.motion()?))
         };
@@ -439,25 +544,29 @@ impl Trainer {
     }
 
     /// Begins a step with the caller's loss: renders the image that `camera` sees at `time`, in [0, 1].
-    /// A step that is already in progress ends without an update.
+    /// A step that is already in progress ends without an update. The depth is copied from the device when it
+    /// is read, at the latest when the step ends.
     ///
     /// Raises `splat4d.Error` for a time out of range, or if the device runs out of memory.
     #[pyo3(signature = (camera, time = 0.0))]
     fn forward(&self, py: Python<'_>, camera: &Camera, time: f64) -> PyResult<Rendered> {
         let camera = camera.camera;
-        let rendered = py.detach(|| self.lock().forward(&camera, time)).map_err(raised)?;
-        Rendered::of(py, rendered)
+        let (rgba, unread) = py.detach(|| self.lock().forward(&camera, time)).map_err(raised)?;
+        let shape = vec![rgba.height as usize, rgba.width as usize];
+        let depth = Deferred::new(&self.state, vec![(Array::Depth, shape)], unread);
+        Rendered::with_depth(py, rgba, depth)
     }
 
     /// Continues the step after `forward`, given the gradient of the caller's loss with respect to the
     /// rendered image: `grad_rgba`, shape (height, width, 4), with respect to premultiplied colour and alpha,
     /// and `grad_depth`, shape (height, width), with respect to depth as in `Rendered.depth`.
     ///
-    /// Returns the gradients with respect to the scene's arrays, with the names and shapes of
+    /// Returns the gradients with respect to the scene's arrays as a mapping, with the names and shapes of
     /// `Scene.arrays()`: `positions`, `log_scales`, `rotations`, `opacity_logits`, `sh`, and in a moving
     /// scene `control_log_radii` and either `control_paths` or `network`, (W,). `pose`, (6,), is the
     /// gradient with respect to a left perturbation of `view_from_world`: translation, rotation. In a
-    /// moving scene the rigidity term counts as part of the loss, unless `rigidity_weight=0`.
+    /// moving scene the rigidity term counts as part of the loss, unless `rigidity_weight=0`. May return
+    /// before the device has finished: each array is copied from the device when it is read.
     ///
     /// Raises `ValueError` for wrong shapes, `splat4d.Error` unless `forward` was the last call of the step.
     #[pyo3(signature = (grad_rgba, grad_depth = None))]
@@ -466,7 +575,7 @@ impl Trainer {
         py: Python<'py>,
         grad_rgba: &Bound<'py, PyAny>,
         grad_depth: Option<&Bound<'py, PyAny>>,
-    ) -> PyResult<Bound<'py, PyDict>> {
+    ) -> PyResult<Bound<'py, PyAny>> {
         let size = || match &self.lock().own {
             Own::Forward(pass) => Some(pass.size()),
             _ => None,
@@ -481,41 +590,18 @@ impl Trainer {
             Some(depth) => Some(arrays::floats("grad_depth", depth, &sides)?.0),
             None => None,
         };
-        let found = py.detach(|| self.lock().backward(&rgba, depth.as_deref())).map_err(raised)?;
-        self.by_name(py, found)
+        let with_network = self.start.network.is_some();
+        let differentiate = || self.lock().backward(&rgba, depth.as_deref(), with_network);
+        let (shapes, unread) = py.detach(differentiate).map_err(raised)?;
+        let source = GradientSource { deferred: Deferred::new(&self.state, shapes, unread) };
+        py.import("splat4d._gradients")?.call_method1("Gradients", (source,))
     }
 
     /// Ends the step after `backward`: updates every parameter from these gradients, with the learning rates
-    /// and regularisers of the settings.
+    /// and regularisers of the settings. May return before the device has finished.
     ///
     /// Raises `splat4d.Error` unless `backward` was the last call of the step.
     fn update(&self, py: Python<'_>) -> PyResult<()> {
         py.detach(|| self.lock().update()).map_err(raised)
-    }
-}
-
-impl Trainer {
-    fn by_name<'py>(&self, py: Python<'py>, found: Gradients) -> PyResult<Bound<'py, PyDict>> {
-        let Gradients { gaussians: g, pose, motion } = found;
-        let dict = PyDict::new(py);
-        let shape = [g.len(), sh_coefficients(g.sh_degree), 3];
-        dict.set_item("positions", arrays::table(py, g.positions)?)?;
-        dict.set_item("log_scales", arrays::table(py, g.log_scales)?)?;
-        dict.set_item("rotations", arrays::table(py, g.rotations)?)?;
-        dict.set_item("opacity_logits", arrays::line(py, g.opacity_logits))?;
-        dict.set_item("sh", arrays::block(py, g.sh.into_flattened(), shape)?)?;
-        dict.set_item("pose", arrays::line(py, pose))?;
-        if let Some(MotionGradients { model, log_radii }) = motion {
-            let points = log_radii.len();
-            dict.set_item("control_log_radii", arrays::line(py, log_radii))?;
-            match self.start.network {
-                Some(_) => dict.set_item("network", arrays::line(py, model))?,
-                None => {
-                    let keys = model.len() / (8 * points);
-                    dict.set_item("control_paths", arrays::block(py, model, [keys, points, 8])?)?;
-                }
-            }
-        }
-        Ok(dict)
     }
 }

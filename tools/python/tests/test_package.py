@@ -22,7 +22,7 @@ def stub(module):
 
 
 def test_the_types_name_what_there_is():
-    modules = ("_splat4d", "_page", "_program", "_rasterization")
+    modules = ("_splat4d", "_gradients", "_page", "_program", "_rasterization")
     nodes = [node for module in modules for node in stub(module)]
     classes = {
         node.name: {

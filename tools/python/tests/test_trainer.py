@@ -4,6 +4,7 @@ import os
 import signal
 import threading
 import time
+from collections.abc import Mapping
 
 import numpy as np
 import pytest
@@ -124,6 +125,57 @@ def test_an_own_loss_trains_as_far_as_it_is_updated(device, camera):
         np.testing.assert_array_equal(value, arrays[name], name)
     rendered = splat4d.Renderer(device, trainer.scene()).render(camera)
     np.testing.assert_array_equal(rendered.rgba, again.rgba)
+
+
+@pytest.mark.parametrize("arrays", [gaussians(60), moving_arrays()])
+def test_what_is_read_late_has_the_same_bits(device, camera, arrays):
+    """Depth and gradients are the same whether they are read at once, after `update`, after the next `forward`,
+    or after the trainer is gone."""
+    random = np.random.default_rng(2)
+    by_rgba = random.normal(size=(49, 65, 4)).astype(np.float32)
+    by_depth = random.normal(size=(49, 65)).astype(np.float32)
+
+    def step(then):
+        trainer = splat4d.Trainer(device, splat4d.Scene(**arrays), growth=None, sh_degree=0)
+        rendered = trainer.forward(camera, 0.5)
+        gradients = trainer.backward(by_rgba, by_depth)
+        if then == "at once":
+            return {"depth": rendered.depth, **gradients}
+        if then == "some at once":
+            assert gradients["pose"] is gradients["pose"] and rendered.depth is rendered.depth
+        if then != "dropped":
+            trainer.update()
+        if then == "next":
+            trainer.forward(camera, 0.1)
+            trainer.backward(by_rgba)
+        if then in ("dropped", "updated and dropped"):
+            del trainer
+        return {"depth": rendered.depth, **gradients}
+
+    expected = step("at once")
+    assert np.abs(expected["depth"]).max() > 0 and np.abs(expected["positions"]).max() > 0
+    for then in ("some at once", "update", "next", "dropped", "updated and dropped"):
+        found = step(then)
+        assert list(found) == list(expected)
+        for name, value in found.items():
+            assert value.shape == expected[name].shape and value.dtype == np.float32
+            assert value.tobytes() == expected[name].tobytes(), (then, name)
+
+
+def test_gradients_are_a_mapping(device, camera):
+    trainer = splat4d.Trainer(device, splat4d.Scene(**gaussians(5)), growth=None, sh_degree=0)
+    trainer.forward(camera)
+    gradients = trainer.backward(np.ones((49, 65, 4)))
+    names = ["positions", "log_scales", "rotations", "opacity_logits", "sh", "pose"]
+    assert isinstance(gradients, Mapping) and isinstance(gradients, splat4d.Gradients)
+    assert list(gradients) == list(gradients.keys()) == names and len(gradients) == 6
+    assert "pose" in gradients and "depth" not in gradients and gradients.get("depth") is None
+    with pytest.raises(KeyError, match="depth"):
+        gradients["depth"]
+    assert [value.shape for value in gradients.values()] == [
+        (5, 3), (5, 3), (5, 4), (5,), (5, 1, 3), (6,)
+    ]
+    assert "positions" in repr(gradients)
 
 
 def test_many_large_splats_are_rendered_whole(device, camera):

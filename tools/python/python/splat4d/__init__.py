@@ -7,6 +7,7 @@ natural logarithms, opacity and motion as logits. Colours are the image's own en
 """
 
 from . import ops
+from ._gradients import Gradients
 from ._page import Page
 from ._program import command, evaluate, reconstruct, synth, track, train
 from ._rasterization import rasterization
@@ -28,6 +29,7 @@ __all__ = [
     "Device",
     "DeviceInfo",
     "Error",
+    "Gradients",
     "Page",
     "Progress",
     "Rendered",

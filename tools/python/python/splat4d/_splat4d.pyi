@@ -8,6 +8,7 @@ from typing import Any, TypedDict
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ._gradients import Gradients
 from ._page import Page
 
 class Error(Exception): ...
@@ -201,7 +202,7 @@ class Trainer:
     def forward(self, camera: Camera, time: float = 0.0) -> Rendered: ...
     def backward(
         self, grad_rgba: ArrayLike, grad_depth: ArrayLike | None = None
-    ) -> dict[str, NDArray[np.float32]]: ...
+    ) -> Gradients: ...
     def update(self) -> None: ...
 
 def loss(

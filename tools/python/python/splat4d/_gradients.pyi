@@ -1,0 +1,9 @@
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+class Gradients(Mapping[str, NDArray[np.float32]]):
+    def __getitem__(self, name: str) -> NDArray[np.float32]: ...
+    def __iter__(self) -> Iterator[str]: ...
+    def __len__(self) -> int: ...
