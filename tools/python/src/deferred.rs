@@ -1,7 +1,6 @@
 //! Arrays that stay on the device until Python reads them: the depth and the gradients of a step with the caller's
 //! loss. What nothing reads is never copied.
 
-use crate::arrays;
 use crate::error::raised;
 use crate::trainer::State;
 use numpy::{PyArray1, PyArrayDyn, PyArrayMethods};
@@ -70,11 +69,7 @@ impl Deferred {
     }
 
     /// An array, copied from the device when it is asked for first.
-    pub fn get<'py>(
-        &self,
-        py: Python<'py>,
-        array: Array,
-    ) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
+    pub fn get<'py>(&self, py: Python<'py>, array: Array) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
         // Held while another thread may take the GIL: whoever waits for it must not hold the GIL.
         let mut arrays = self.arrays.lock_py_attached(py).expect("no holder panics");
         if let Some(known) = arrays.get(&array) {
@@ -118,11 +113,7 @@ impl GradientSource {
     }
 
     /// The array of this name.
-    fn read<'py>(
-        &self,
-        py: Python<'py>,
-        name: &str,
-    ) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
+    fn read<'py>(&self, py: Python<'py>, name: &str) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
         let mut arrays = self.deferred.shapes.iter().map(|(array, _)| *array);
         match arrays.find(|array| array.name() == name) {
             Some(array) => self.deferred.get(py, array),

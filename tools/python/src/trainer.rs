@@ -280,8 +280,9 @@ impl State {
             let mut recorder = stream.record()?;
             let mut pass = scene.forward(&mut recorder, camera, time)?;
             let pixels = &scene.pixels(&pass)?.rgba;
-            let mut readback = match colour.take().filter(|readback| readback.len() == pixels.len()) {
-                Some(readback) => readback,
+            let before = colour.take().filter(|before| before.len() == pixels.len());
+            let mut readback = match before {
+                Some(before) => before,
                 None => device.readback(pixels.len())?,
             };
             recorder.read_back(pixels.view(), &readback);
