@@ -113,6 +113,16 @@ check_features() {
     return $status
 }
 
+# Licences, sources and duplicates of the packages of all platforms, where cargo-deny is installed. Advisories
+# are left to `cargo deny check advisories`, which fetches their database.
+check_dependencies() {
+    if ! command -v cargo-deny >/dev/null; then
+        echo "SKIPPED cargo-deny: it is not installed. tests/dependencies.rs checks the licences on this platform"
+        return
+    fi
+    cargo deny --workspace --locked check bans licenses sources
+}
+
 # The examples, as built above: each exits with an error where its result is wrong.
 run_examples() {
     local folder=$target/examples-out
@@ -154,6 +164,7 @@ step "build" cargo build "${release[@]}" --all-targets || {
 step "lints" cargo clippy "${release[@]}" --all-targets -- -D warnings
 RUSTDOCFLAGS="-D warnings" step "docs" cargo doc "${release[@]}" --no-deps
 step "features" check_features
+step "dependencies" check_dependencies
 step "newcomer" env VK_DRIVER_FILES="$lavapipe" tools/newcomer.sh
 step "shaders" "$target/release/tools" check
 step "modules" validate_modules

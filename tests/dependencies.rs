@@ -1,5 +1,5 @@
-//! The licences of all packages that are built on this platform, compared with the list in deny.toml. Needs
-//! no device.
+//! What the packages that are built on this platform demand: their licences are in the list of deny.toml, and
+//! none needs a newer Rust than Cargo.toml states. Needs no device.
 
 use serde_json::Value;
 use spdx::{Expression, LicenseReq, Licensee};
@@ -12,10 +12,32 @@ fn every_dependency_has_an_allowed_licence() {
     assert!(packages.len() > 200, "{} packages: the list is not whole", packages.len());
     let refused: Vec<String> = packages
         .iter()
-        .filter(|(name, licence)| !policy.allows(name, licence))
-        .map(|(name, licence)| format!("{name}: {licence}"))
+        .filter(|package| !policy.allows(&package.name, &package.licence))
+        .map(|package| format!("{}: {}", package.name, package.licence))
         .collect();
     assert!(refused.is_empty(), "not allowed by deny.toml:\n{}", refused.join("\n"));
+}
+
+/// clippy holds the code itself against `rust-version`, by the versions of the standard library's items.
+#[test]
+fn no_dependency_needs_a_newer_rust() {
+    let stated = rust_version(env!("CARGO_PKG_RUST_VERSION"));
+    let packages = packages();
+    let told = packages.iter().filter(|package| package.rust.is_some()).count();
+    assert!(told > 100, "{told} packages state a version of Rust: the list is not whole");
+    let newer: Vec<String> = packages
+        .iter()
+        .filter_map(|package| Some((package, package.rust.as_deref()?)))
+        .filter(|(_, rust)| rust_version(rust) > stated)
+        .map(|(package, rust)| format!("{} needs Rust {rust}", package.name))
+        .collect();
+    assert!(newer.is_empty(), "newer than rust-version in Cargo.toml:\n{}", newer.join("\n"));
+}
+
+/// `1.90` or `1.90.1` as numbers, of which missing ones are 0.
+fn rust_version(text: &str) -> [u32; 3] {
+    let mut parts = text.split('.').map(|part| part.parse().unwrap());
+    std::array::from_fn(|_| parts.next().unwrap_or(0))
 }
 
 #[test]
@@ -62,9 +84,18 @@ fn policy() -> Policy {
     }
 }
 
-/// Name and licence expression of every package of the workspace's dependency tree on this platform. Packages
-/// of other platforms may not have been downloaded.
-fn packages() -> Vec<(String, String)> {
+/// A package as its manifest describes it.
+struct Package {
+    name: String,
+    /// An SPDX expression; empty if there is none.
+    licence: String,
+    /// The least version of Rust, if it is stated.
+    rust: Option<String>,
+}
+
+/// Every package of the workspace's dependency tree on this platform. Packages of other platforms may not have
+/// been downloaded.
+fn packages() -> Vec<Package> {
     let version = run("RUSTC", "rustc", &["-vV"]);
     let host = version.lines().find_map(|line| line.strip_prefix("host: ")).unwrap();
     let metadata = run(
@@ -74,8 +105,12 @@ fn packages() -> Vec<(String, String)> {
     );
     let metadata: Value = serde_json::from_str(&metadata).unwrap();
     let package = |value: &Value| {
-        let text = |key: &str| value[key].as_str().unwrap_or_default().to_owned();
-        (text("name"), text("license"))
+        let text = |key: &str| value[key].as_str().map(str::to_owned);
+        Package {
+            name: text("name").unwrap_or_default(),
+            licence: text("license").unwrap_or_default(),
+            rust: text("rust_version"),
+        }
     };
     metadata["packages"].as_array().unwrap().iter().map(package).collect()
 }
