@@ -48,22 +48,21 @@ impl Array {
 /// fills them before their memory on the device changes.
 pub type Unread = Mutex<BTreeMap<Array, Option<Vec<f32>>>>;
 
+/// Arrays and their shapes.
+pub type Shapes = Vec<(Array, Vec<usize>)>;
+
 /// Arrays of a step, each read at most once.
 pub struct Deferred {
     /// Weak, so that a result that outlives the trainer holds none of the device's memory.
     state: Weak<Mutex<State>>,
-    shapes: Vec<(Array, Vec<usize>)>,
+    shapes: Shapes,
     unread: Arc<Unread>,
     arrays: Mutex<BTreeMap<Array, Py<PyArrayDyn<f32>>>>,
 }
 
 impl Deferred {
     /// Arrays that the trainer has on its device; `unread` is what it knows of them.
-    pub fn new(
-        state: &Arc<Mutex<State>>,
-        shapes: Vec<(Array, Vec<usize>)>,
-        unread: Arc<Unread>,
-    ) -> Deferred {
+    pub fn new(state: &Arc<Mutex<State>>, shapes: Shapes, unread: Arc<Unread>) -> Deferred {
         let state = Arc::downgrade(state);
         Deferred { state, shapes, unread, arrays: Mutex::default() }
     }

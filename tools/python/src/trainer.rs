@@ -2,7 +2,7 @@
 
 use crate::arrays;
 use crate::camera::Camera;
-use crate::deferred::{self, Array, Deferred, GradientSource, Unread};
+use crate::deferred::{self, Array, Deferred, GradientSource, Shapes, Unread};
 use crate::device::Device;
 use crate::error::raised;
 use crate::renderer::Rendered;
@@ -309,7 +309,7 @@ impl State {
         rgba: &[f32],
         depth: Option<&[f32]>,
         with_network: bool,
-    ) -> splat4d::Result<(Vec<(Array, Vec<usize>)>, Arc<Unread>)> {
+    ) -> splat4d::Result<(Shapes, Arc<Unread>)> {
         let rgba: &[[f32; 4]] = rgba.as_chunks().0;
         let fits = |by: &PixelGradients| by.rgba.len() == rgba.len();
         if !self.gradients.as_ref().is_some_and(fits) {
