@@ -255,7 +255,7 @@ fn what_does_not_fit_is_refused() {
     let state = trainer.state().unwrap();
     let fewer = Trainer::resume(&device, &views[..1], state.clone(), settings.clone());
     let message = fewer.err().map(|error| error.to_string()).unwrap_or_default();
-    assert!(message.contains("other pictures"), "{message}");
+    assert!(message.contains("other images"), "{message}");
 
     // A static scene's checkpoint holds no motion.
     let joint = Checkpoint::Joint(state);

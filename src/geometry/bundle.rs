@@ -23,7 +23,7 @@ mod residual;
 
 use crate::error::{Error, Result};
 use crate::types::{Intrinsics, Pose};
-pub use deviation::{PoseDeviation, pose_deviations};
+pub use deviation::{PoseDeviation, focal_deviation_of_regions, pose_deviations};
 use glam::DVec2;
 use normal::{Layout, NormalEquations};
 pub use residual::{Jacobian, project};
@@ -172,8 +172,8 @@ pub struct Report {
     pub converged: bool,
     /// Whether the focal length was adjusted.
     pub focal_released: bool,
-    /// Relative standard deviation of the focal length, with all other unknowns free; infinite if
-    /// unobservable.
+    /// Relative standard deviation of the focal length for independent errors, with all other unknowns free;
+    /// infinite if unobservable. [`focal_deviation_of_regions`] is that for errors that image regions share.
     pub focal_std: f64,
     /// Standard deviation of k1, with all other unknowns free; infinite if unobservable, 0 where it was kept.
     pub k1_std: f64,

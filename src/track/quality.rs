@@ -141,7 +141,7 @@ pub(super) fn of(
 /// The note that the lens distorts the image.
 pub(super) fn lens_note(lens: &Lens) -> String {
     format!(
-        "the lens distorts the picture (k1 {:+.4}); all that is found is of undistorted frames",
+        "the lens distorts the image (k1 {:+.4}); all that is found is of undistorted frames",
         lens.distortion.radial[0]
     )
 }

@@ -281,7 +281,7 @@ pub(super) fn sound(scene: Scene) -> Result<Scene> {
     match scene.check() {
         Ok(()) => Ok(scene),
         Err(what) => Err(Error::Failed(format!(
-            "the training ran off: {what}; look for cameras that do not fit their pictures, or \
+            "the training ran off: {what}; look for cameras that do not fit their images, or \
              train for fewer steps"
         ))),
     }

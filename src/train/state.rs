@@ -77,7 +77,7 @@ impl Trainer {
     ) -> Result<Trainer> {
         let mut pictures = state.round.iter().chain(state.pending.iter().map(|(view, _)| view));
         if pictures.any(|&view| view >= views.len()) {
-            return Err(Error::Input("the state to resume from is of other pictures".into()));
+            return Err(Error::Input("the state to resume from is of other images".into()));
         }
         let (gaussians, radius) = (&state.gaussians, state.scene_radius);
         let mut trainer =
@@ -144,7 +144,7 @@ impl SceneOptimiser {
         settings: TrainSettings,
     ) -> Result<SceneOptimiser> {
         if !(state.round.is_empty() && state.pending.is_empty()) {
-            let what = "the state to resume from is of a training on pictures";
+            let what = "the state to resume from is of a training on images";
             return Err(Error::Input(what.into()));
         }
         let (gaussians, radius) = (&state.gaussians, state.scene_radius);

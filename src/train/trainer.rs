@@ -73,10 +73,10 @@ impl Trainer {
         radius: f64,
     ) -> Result<Trainer> {
         if views.is_empty() {
-            return Err(Error::Input("training needs at least one picture".into()));
+            return Err(Error::Input("training needs at least one image".into()));
         }
         for (i, view) in views.iter().enumerate() {
-            view.check().map_err(|what| Error::Input(format!("picture {i}: {what}")))?;
+            view.check().map_err(|what| Error::Input(format!("image {i}: {what}")))?;
         }
         let cameras = views.iter().map(|view| &view.camera);
         let extent = settings.position_unit.unwrap_or_else(|| extent(cameras));

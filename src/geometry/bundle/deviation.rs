@@ -1,4 +1,6 @@
-//! Uncertainty of adjusted poses.
+//! Uncertainty of adjusted poses and of the focal length.
+
+use std::collections::BTreeMap;
 
 use super::normal::{Layout, NormalEquations};
 use super::{FocalMode, Options, Problem, check, residual, scale_is_anchored};
@@ -58,6 +60,41 @@ pub fn pose_deviations(problem: &Problem, options: &Options) -> Result<Vec<Optio
         })
     };
     Ok((0..problem.poses.len()).map(of_frame).collect())
+}
+
+/// Number of regions across the image's longer side, within which the errors of observations are taken to be
+/// one error in the worst case.
+const REGIONS: f64 = 16.0;
+
+/// Relative standard deviation of the focal length of an adjusted problem whose errors are independent
+/// between image regions and arbitrary within them, with all other unknowns free: flow errs alike for all
+/// points of a surface and over many frames, so that more points do not tell more. It is at least the deviation
+/// for independent errors, and infinite where the focal length is not determined.
+///
+/// The variance is the sum over regions of the square of the summed influence of the region's points (Liang
+/// and Zeger 1986, with the Gauss–Newton matrix). A point belongs to the region of its reference pixel.
+///
+/// # Errors
+/// Those of [`adjust`](super::adjust) for an invalid problem.
+pub fn focal_deviation_of_regions(problem: &Problem, options: &Options) -> Result<f64> {
+    check(problem, options)?;
+    let scale = residual::robust_scale(problem, options);
+    let layout = Layout::new(problem, options, true);
+    let equations = NormalEquations::build(problem, options, &layout, scale);
+    let found = layout.focal().and_then(|column| {
+        let information = equations.information(&layout, column)?;
+        let influences = equations.influences(problem, options, &layout, scale, column)?;
+        Some((scale / information.sqrt(), influences))
+    });
+    let Some((of_independent, influences)) = found else { return Ok(f64::INFINITY) };
+    let side = f64::from(problem.intrinsics.width.max(problem.intrinsics.height)) / REGIONS;
+    let mut regions: BTreeMap<[i64; 2], f64> = BTreeMap::new();
+    for (point, influence) in problem.points.iter().zip(influences) {
+        let at = (point.pixel / side).floor();
+        *regions.entry([at.x as i64, at.y as i64]).or_default() += influence;
+    }
+    let deviation = regions.values().map(|sum| sum * sum).sum::<f64>().sqrt();
+    Ok(if deviation.is_finite() { deviation.max(of_independent) } else { f64::INFINITY })
 }
 
 /// Per point, the weight of its inverse depth in the mean relative change of the middle half.
@@ -161,6 +198,70 @@ mod tests {
                 }
             }
         }
+    }
+
+    /// Noise that is common to all points of a region in a frame.
+    fn alike(exact: &Problem, seed: u64) -> Problem {
+        let shared = noisy(exact, seed);
+        let mut problem = exact.clone();
+        let mut errors: BTreeMap<[i64; 3], DVec2> = BTreeMap::new();
+        let numbers = exact.observations.iter().zip(&shared.observations);
+        for (o, (before, after)) in problem.observations.iter_mut().zip(numbers) {
+            let at = (exact.points[o.point].pixel / 20.0).floor();
+            let region = [at.x as i64, at.y as i64, o.frame as i64];
+            o.pixel += *errors.entry(region).or_insert(after.pixel - before.pixel);
+        }
+        problem
+    }
+
+    #[test]
+    fn errors_that_regions_share_leave_the_focal_length_uncertain() {
+        // Four points in a region.
+        let mut exact = exact();
+        let many = exact.points.len();
+        for copy in 1..4 {
+            for point in 0..many {
+                let mut own = exact.points[point];
+                let in_region = (own.pixel / 20.0).floor() * 20.0;
+                own.pixel = in_region + DVec2::new(3.0, 5.0) * f64::from(copy);
+                exact.points.push(own);
+                for frame in 1..FRAMES {
+                    let relative = exact.poses[frame] * exact.poses[0].inverse();
+                    let (k, d) = (&exact.intrinsics, own.inverse_depth);
+                    let pixel = project(k, &relative, own.pixel, d).unwrap().0;
+                    let point = exact.points.len() - 1;
+                    let (weight, deviation) = (1.0, 1.0);
+                    exact.observations.push(Observation { point, frame, pixel, weight, deviation });
+                }
+            }
+        }
+        let options =
+            Options { focal: FocalMode::Free, kernel: Kernel::None, ..Default::default() };
+        // Mean stated deviations of both kinds, over the spread of the solutions.
+        let ratios = |draw: &dyn Fn(u64) -> Problem| {
+            let draws = 40;
+            let (mut squared, mut independent, mut regions) = (0.0, 0.0, 0.0);
+            for seed in 0..draws {
+                let mut problem = draw(seed);
+                let report = adjust(&mut problem, &options).unwrap();
+                let off = (problem.intrinsics.fx / exact.intrinsics.fx).ln();
+                squared += off * off / draws as f64;
+                independent += report.focal_std / draws as f64;
+                regions += focal_deviation_of_regions(&problem, &options).unwrap() / draws as f64;
+            }
+            [independent, regions].map(|stated| stated / squared.sqrt())
+        };
+        let [independent, regions] = ratios(&|seed| noisy(&exact, seed));
+        eprintln!("independent errors: stated {independent:.2} and {regions:.2} of the spread");
+        assert!((1.0 / 1.5..1.5).contains(&independent) && (1.0 / 1.5..1.5).contains(&regions));
+        let [independent, regions] = ratios(&|seed| alike(&exact, seed));
+        eprintln!("shared errors: stated {independent:.2} and {regions:.2} of the spread");
+        assert!(independent < 1.0 / 1.5, "the test needs errors that matter: {independent}");
+        assert!((1.0 / 1.5..1.5).contains(&regions), "{regions}");
+        // Without parallax and rotation nothing determines it.
+        let mut still = exact.clone();
+        still.poses = vec![Pose::IDENTITY; FRAMES];
+        assert!(focal_deviation_of_regions(&still, &options).unwrap() > 1.0);
     }
 
     #[test]

@@ -426,6 +426,12 @@ impl NormalEquations {
     /// Information about a column's unknown that remains when all others are free, in pixels² over its
     /// unit's square.
     pub(super) fn information(&self, layout: &Layout, column: usize) -> Option<f64> {
+        let variance = self.covariance_column(layout, column)?[column];
+        (variance.is_finite() && variance > 0.0).then(|| 1.0 / variance)
+    }
+
+    /// A column of the inverse of the reduced system.
+    fn covariance_column(&self, layout: &Layout, column: usize) -> Option<DVector<f64>> {
         let (mut reduced, _) = self.reduce(layout, 0.0);
         let largest = self.camera.largest_diagonal().max(1e-300);
         for k in 0..layout.size {
@@ -434,8 +440,60 @@ impl NormalEquations {
         }
         let mut unit = DVector::zeros(layout.size);
         unit[column] = 1.0;
-        let variance = reduced.cholesky()?.solve(&unit)[column];
-        (variance.is_finite() && variance > 0.0).then(|| 1.0 / variance)
+        Some(reduced.cholesky()?.solve(&unit))
+    }
+
+    /// The change of a column's unknown that each point's residuals cause, with all other unknowns free. The
+    /// changes sum to zero at a minimum without a prior. `None` where the reduced system is not positive
+    /// definite.
+    pub(super) fn influences(
+        &self,
+        problem: &Problem,
+        options: &Options,
+        layout: &Layout,
+        scale: f64,
+        column: usize,
+    ) -> Option<Vec<f64>> {
+        let by_all = self.covariance_column(layout, column)?;
+        let kernel_width = options.kernel_width * scale;
+        let of_point = |(index, members): (usize, &Vec<usize>)| {
+            let (point, row) = (&problem.points[index], &self.rows[index]);
+            // The derivative of a residual with respect to the depth, where the cameras move along
+            // `by_all`, and so does the depth, to its best value.
+            let by_depth = match layout.depths {
+                true => row.coupling.dot(by_all.as_slice()) / row.damped(0.0),
+                false => 0.0,
+            };
+            let mut influence = 0.0;
+            for o in members.iter().map(|m| &problem.observations[*m]) {
+                let found = project_through(
+                    &problem.intrinsics,
+                    problem.k1,
+                    &relative(problem, o),
+                    point.pixel,
+                    point.inverse_depth,
+                );
+                let Some((u, jacobian)) = found else { continue };
+                let r = u - o.pixel;
+                let variance = o.deviation.powi(2);
+                let squared = r.length_squared() / variance;
+                let w = o.weight * kernel(options.kernel, squared, kernel_width).1 / variance;
+                let mut along = -by_depth * jacobian.inverse_depth;
+                for (frame, by) in [(o.frame, jacobian.target), (point.frame, jacobian.reference)] {
+                    for (column, by) in layout.columns(frame).into_iter().flatten().zip(by) {
+                        along += by_all[column] * by;
+                    }
+                }
+                for (column, by) in
+                    [(layout.focal, jacobian.log_focal), (layout.distortion, jacobian.k1)]
+                {
+                    along += column.map_or(DVec2::ZERO, |column| by_all[column] * by);
+                }
+                influence -= w * along.dot(r);
+            }
+            influence
+        };
+        Some(layout.by_point.par_iter().enumerate().map(of_point).collect())
     }
 
     /// The variance of each column with all other unknowns free, per unit of the residuals' variance, where

@@ -9,7 +9,8 @@ use super::focal::ASSUMED;
 use super::{Anchor, Cameras, DEVIATION, Focal, Kept, Standpoint, information};
 use crate::Result;
 use crate::geometry::bundle::{
-    self, FocalMode, Observation, Point, PoseDeviation, Problem, adjust, pose_deviations,
+    self, FocalMode, Observation, Point, PoseDeviation, Problem, adjust,
+    focal_deviation_of_regions, pose_deviations,
 };
 use crate::geometry::triangulate::inverse_depth;
 use crate::observe::PointTrack;
@@ -34,7 +35,10 @@ impl Cameras {
         if !focal.held {
             self.focal_std = report.focal_std.min(focal.deviation);
             if report.focal_released {
-                self.focal_std = report.focal_std;
+                // The errors of neighbouring tracks are alike.
+                let (problem, _) = self.problem(tracks, weights, &posed, POINTS);
+                self.focal_std =
+                    focal_deviation_of_regions(&problem, &self.options(focal.mode(), 1))?;
                 self.focal_source = FocalSource::Measured;
             }
         }
