@@ -82,9 +82,10 @@ pub fn focal_deviation_of_regions(problem: &Problem, options: &Options) -> Resul
     let layout = Layout::new(problem, options, true);
     let equations = NormalEquations::build(problem, options, &layout, scale);
     let found = layout.focal().and_then(|column| {
-        let information = equations.information(&layout, column)?;
-        let influences = equations.influences(problem, options, &layout, scale, column)?;
-        Some((scale / information.sqrt(), influences))
+        let by_all = equations.covariance_column(&layout, column)?;
+        let variance = by_all[column];
+        let influences = equations.influences(problem, options, &layout, scale, &by_all);
+        (variance > 0.0).then(|| (scale * variance.sqrt(), influences))
     });
     let Some((of_independent, influences)) = found else { return Ok(f64::INFINITY) };
     let side = f64::from(problem.intrinsics.width.max(problem.intrinsics.height)) / REGIONS;

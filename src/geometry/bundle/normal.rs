@@ -1,8 +1,8 @@
 //! The normal equations, reduced to the cameras.
 
 use super::super::envelope::Envelope;
-use super::residual::{focal_prior, kernel, project_through, relative};
-use super::{Kernel, Options, Problem, counts};
+use super::residual::{Jacobian, focal_prior, kernel, project_through, relative};
+use super::{Kernel, Observation, Options, Problem, counts};
 use crate::geometry::se3::{Twist, retract};
 use glam::DVec2;
 use nalgebra::DVector;
@@ -219,6 +219,37 @@ struct System<'a> {
     depth_floor: f64,
 }
 
+impl<'a> System<'a> {
+    fn new(problem: &'a Problem, options: &Options, layout: &'a Layout, scale: f64) -> System<'a> {
+        let typical = super::median_inverse_depth(problem).unwrap_or(1.0);
+        System {
+            problem,
+            layout,
+            kernel: options.kernel,
+            kernel_width: options.kernel_width * scale,
+            depth_floor: DEPTH_FLOOR / (typical * typical),
+        }
+    }
+
+    /// An observation's residual in pixels, its weight with the robust kernel, and the derivatives of its
+    /// projection; `None` where it is not projected.
+    fn residual(&self, o: &Observation) -> Option<(DVec2, f64, Jacobian)> {
+        let System { problem, kernel_width, .. } = *self;
+        let point = &problem.points[o.point];
+        let (u, jacobian) = project_through(
+            &problem.intrinsics,
+            problem.k1,
+            &relative(problem, o),
+            point.pixel,
+            point.inverse_depth,
+        )?;
+        let r = u - o.pixel;
+        let (variance, squared) = (o.deviation.powi(2), r.length_squared());
+        let w = o.weight * kernel(self.kernel, squared / variance, kernel_width).1 / variance;
+        Some((r, w, jacobian))
+    }
+}
+
 /// Jᵀ W J and Jᵀ W r: the camera block, and a row for each point.
 pub(super) struct NormalEquations {
     camera: Envelope,
@@ -233,14 +264,7 @@ impl NormalEquations {
         layout: &Layout,
         scale: f64,
     ) -> NormalEquations {
-        let typical = super::median_inverse_depth(problem).unwrap_or(1.0);
-        let system = System {
-            problem,
-            layout,
-            kernel: options.kernel,
-            kernel_width: options.kernel_width * scale,
-            depth_floor: DEPTH_FLOOR / (typical * typical),
-        };
+        let system = System::new(problem, options, layout, scale);
         let part = problem.points.len().div_ceil(PARTS).max(1);
         let parts: Vec<NormalEquations> = layout
             .by_point
@@ -278,7 +302,7 @@ impl NormalEquations {
 
     /// Adds a point's observations to the camera block (lower triangle), and returns the point's row.
     fn add_point(&mut self, system: &System, index: usize, members: &[usize]) -> Row {
-        let &System { problem, layout, kernel_width, .. } = system;
+        let &System { problem, layout, .. } = system;
         let point = &problem.points[index];
         let mut row = Row::default();
         // All observations depend on the reference frame, the focal length and the distortion.
@@ -287,17 +311,7 @@ impl NormalEquations {
         let mut blocks = Vec::with_capacity(members.len() + shared.len());
         for &m in members {
             let o = &problem.observations[m];
-            let found = project_through(
-                &problem.intrinsics,
-                problem.k1,
-                &relative(problem, o),
-                point.pixel,
-                point.inverse_depth,
-            );
-            let Some((u, jacobian)) = found else { continue };
-            let r = u - o.pixel;
-            let (variance, squared) = (o.deviation.powi(2), r.length_squared());
-            let w = o.weight * kernel(system.kernel, squared / variance, kernel_width).1 / variance;
+            let Some((r, w, jacobian)) = system.residual(o) else { continue };
             let twist = layout.width;
             let by_shared = [
                 &jacobian.reference[..twist],
@@ -430,8 +444,9 @@ impl NormalEquations {
         (variance.is_finite() && variance > 0.0).then(|| 1.0 / variance)
     }
 
-    /// A column of the inverse of the reduced system.
-    fn covariance_column(&self, layout: &Layout, column: usize) -> Option<DVector<f64>> {
+    /// A column of the inverse of the reduced system: covariances per unit of the residuals' variance, with
+    /// all other unknowns free. `None` where the reduced system is not positive definite.
+    pub(super) fn covariance_column(&self, layout: &Layout, column: usize) -> Option<DVector<f64>> {
         let (mut reduced, _) = self.reduce(layout, 0.0);
         let largest = self.camera.largest_diagonal().max(1e-300);
         for k in 0..layout.size {
@@ -443,19 +458,18 @@ impl NormalEquations {
         Some(reduced.cholesky()?.solve(&unit))
     }
 
-    /// The change of a column's unknown that each point's residuals cause, with all other unknowns free. The
-    /// changes sum to zero at a minimum without a prior. `None` where the reduced system is not positive
-    /// definite.
+    /// The change of a column's unknown that each point's residuals cause, with all other unknowns free, from
+    /// the [`covariance_column`](Self::covariance_column) of that unknown. The changes sum to zero at a
+    /// minimum without a prior.
     pub(super) fn influences(
         &self,
         problem: &Problem,
         options: &Options,
         layout: &Layout,
         scale: f64,
-        column: usize,
-    ) -> Option<Vec<f64>> {
-        let by_all = self.covariance_column(layout, column)?;
-        let kernel_width = options.kernel_width * scale;
+        by_all: &DVector<f64>,
+    ) -> Vec<f64> {
+        let system = System::new(problem, options, layout, scale);
         let of_point = |(index, members): (usize, &Vec<usize>)| {
             let (point, row) = (&problem.points[index], &self.rows[index]);
             // The derivative of a residual with respect to the depth, where the cameras move along
@@ -466,18 +480,7 @@ impl NormalEquations {
             };
             let mut influence = 0.0;
             for o in members.iter().map(|m| &problem.observations[*m]) {
-                let found = project_through(
-                    &problem.intrinsics,
-                    problem.k1,
-                    &relative(problem, o),
-                    point.pixel,
-                    point.inverse_depth,
-                );
-                let Some((u, jacobian)) = found else { continue };
-                let r = u - o.pixel;
-                let variance = o.deviation.powi(2);
-                let squared = r.length_squared() / variance;
-                let w = o.weight * kernel(options.kernel, squared, kernel_width).1 / variance;
+                let Some((r, w, jacobian)) = system.residual(o) else { continue };
                 let mut along = -by_depth * jacobian.inverse_depth;
                 for (frame, by) in [(o.frame, jacobian.target), (point.frame, jacobian.reference)] {
                     for (column, by) in layout.columns(frame).into_iter().flatten().zip(by) {
@@ -493,7 +496,7 @@ impl NormalEquations {
             }
             influence
         };
-        Some(layout.by_point.par_iter().enumerate().map(of_point).collect())
+        layout.by_point.par_iter().enumerate().map(of_point).collect()
     }
 
     /// The variance of each column with all other unknowns free, per unit of the residuals' variance, where
@@ -575,7 +578,7 @@ mod tests {
     use glam::{DQuat, DVec3};
     use nalgebra::DMatrix;
 
-    use super::super::{Observation, Point, project};
+    use super::super::{Point, project};
     use super::*;
     use crate::types::{Intrinsics, Pose};
 
