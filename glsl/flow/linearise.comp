@@ -11,9 +11,11 @@ layout(std430, binding = 2) readonly buffer DerivativesA { float derivatives_a[]
 layout(std430, binding = 3) readonly buffer DerivativesB { float derivatives_b[]; };
 layout(std430, binding = 4) readonly buffer Flow { vec2 flow[]; };
 layout(std430, binding = 5) readonly buffer Trust { float trust[]; };
+// du/dx, du/dy, dv/dx, dv/dy.
+layout(std430, binding = 6) readonly buffer Slopes { vec4 slopes[]; };
 // a, b, c, smoothness.
-layout(std430, binding = 6) writeonly buffer Matrices { vec4 matrices[]; };
-layout(std430, binding = 7) writeonly buffer Sides { vec2 sides[]; };
+layout(std430, binding = 7) writeonly buffer Matrices { vec4 matrices[]; };
+layout(std430, binding = 8) writeonly buffer Sides { vec2 sides[]; };
 
 layout(push_constant) uniform Params {
     int width;
@@ -94,6 +96,11 @@ void main() {
     }
     vec2 by_x = 0.5 * (flow_at(p + ivec2(1, 0)) - flow_at(p - ivec2(1, 0)));
     vec2 by_y = 0.5 * (flow_at(p + ivec2(0, 1)) - flow_at(p - ivec2(0, 1)));
+    // The differences span one pixel less at the image's edges.
+    ivec2 size = ivec2(width, height) - 1;
+    vec2 span = 0.5 * vec2(min(p + 1, size) - max(p - 1, ivec2(0)));
+    by_x -= span.x * slopes[at].xz;
+    by_y -= span.y * slopes[at].yw;
     float variation = dot(by_x, by_x) + dot(by_y, by_y);
     float across = exp(-length(g) / edge) + 0.02;
     matrices[at] = vec4(matrix, smoothness * across * robust(variation));

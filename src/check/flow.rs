@@ -431,6 +431,9 @@ fn refine(h: &mut Harness) -> Result<()> {
         let trust: Vec<f64> =
             (0..n).map(|_| f64::from(h.rng.random_range(0.001f32..1.0))).collect();
         let (flow, trusts) = (upload(h, &singles(&s.flow))?, upload(h, &single(&trust))?);
+        let slopes: Vec<[f64; 4]> =
+            (0..n).map(|_| [0; 4].map(|_| f64::from(h.rng.random_range(-0.1f32..0.1)))).collect();
+        let slope = upload(h, &singles(&slopes))?;
         let mut matrices = h.output::<[f32; 4]>("flow/linearise matrices", n)?;
         let mut sides = h.output::<[f32; 2]>("flow/linearise sides", n)?;
         let mut recorder = h.stream.record()?;
@@ -453,13 +456,14 @@ fn refine(h: &mut Harness) -> Result<()> {
                 derivatives_b: derivatives[1].view(),
                 flow: flow.view(),
                 trust: trusts.view(),
+                slopes: slope.view(),
                 matrices: matrices.view_mut(),
                 sides: sides.view_mut(),
             },
         )?;
         h.stream.submit(recorder)?;
         let (matrices, sides) = (h.read(&matrices)?, h.read(&sides)?);
-        let equations = flow::linearise(&s.a, &s.b, &s.flow, &trust, &t);
+        let mut equations = flow::linearise(&s.a, &s.b, &s.flow, &trust, &slopes, t.smoothness, &t);
         let truth_m: Vec<f64> = equations.iter().flat_map(|e| [e.a, e.b, e.c, e.pull]).collect();
         let truth_s: Vec<f64> = equations.iter().flat_map(|e| [e.r, e.s]).collect();
         // Entries reach 1/kink = 20; where noise² rules the normalisation, roundings of the
@@ -467,6 +471,8 @@ fn refine(h: &mut Harness) -> Result<()> {
         let bound = Bound { absolute: 2e-3, relative: 1e-3 };
         h.close(&s.what("matrices"), matrices.as_flattened(), &truth_m, None, bound);
         h.close(&s.what("sides"), sides.as_flattened(), &truth_s, None, bound);
+        sloped(h, &s, &trust)?;
+        slanted(h, &s, &mut equations, &slopes)?;
         relaxed(h, &s, &equations, &t)?;
         let got = run!(
             h,
@@ -478,6 +484,57 @@ fn refine(h: &mut Harness) -> Result<()> {
         );
         h.exact(&s.what("median"), &got, &singles(&flow::median(&s.flow, s.width, s.height)));
     }
+    Ok(())
+}
+
+/// The slopes of the flow.
+fn sloped(h: &mut Harness, s: &Scene, trust: &[f64]) -> Result<()> {
+    let (flow, trusts) = (upload(h, &singles(&s.flow))?, upload(h, &single(trust))?);
+    let got = run!(
+        h,
+        Slopes,
+        s.groups::<kernel::Slopes>(),
+        kernel::SlopesParams { width: s.width as i32, height: s.height as i32 },
+        s.pixels(),
+        |slopes: [f32; 4]| kernel::SlopesArgs { flow: flow.view(), trust: trusts.view(), slopes }
+    );
+    let truth = flow::slopes(&s.flow, trust, s.width, s.height);
+    // The moments are centred by a difference.
+    let bound = Bound { absolute: 1e-6, relative: 1e-4 };
+    h.close(&s.what("slopes"), got.as_flattened(), truth.as_flattened(), None, bound);
+    Ok(())
+}
+
+/// The right-hand sides with the differences that slopes predict; `equations` receives the oracle's.
+fn slanted(
+    h: &mut Harness,
+    s: &Scene,
+    equations: &mut [Equation<f64>],
+    slopes: &[[f64; 4]],
+) -> Result<()> {
+    let matrices: Vec<_> = equations.iter().map(|e| [e.a, e.b, e.c, e.pull]).collect();
+    let sides: Vec<_> = equations.iter().map(|e| [e.r, e.s]).collect();
+    let (matrices, sides) = (upload(h, &singles(&matrices))?, upload(h, &singles(&sides))?);
+    let slope = upload(h, &singles(slopes))?;
+    let mut guarded = h.output::<[f32; 2]>("flow/slant", s.pixels())?;
+    let mut recorder = h.stream.record()?;
+    recorder.copy(sides.view(), guarded.view_mut());
+    recorder.dispatch::<kernel::Slant>(
+        s.groups::<kernel::Slant>(),
+        kernel::SlantParams { width: s.width as i32, height: s.height as i32 },
+        kernel::SlantArgs {
+            matrices: matrices.view(),
+            slopes: slope.view(),
+            sides: guarded.view_mut(),
+        },
+    )?;
+    h.stream.submit(recorder)?;
+    let got = h.read(&guarded)?;
+    flow::slant(equations, slopes, s.width, s.height);
+    let truth: Vec<f64> = equations.iter().flat_map(|e| [e.r, e.s]).collect();
+    // Rounded inputs of up to some tens.
+    let bound = Bound { absolute: 2e-5, relative: 1e-5 };
+    h.close(&s.what("slanted"), got.as_flattened(), &truth, None, bound);
     Ok(())
 }
 

@@ -275,10 +275,50 @@ kernel! {
         flow: Read<[f32; 2]>,
         /// Weight of the data terms.
         trust: Read<f32>,
+        /// Slopes of the flow that are not penalised, as [`Slopes`] writes them; zeros for none.
+        slopes: Read<[f32; 4]>,
         /// For each pixel the matrix entries a, b, c and the smoothness weight.
         matrices: Write<[f32; 4]>,
         /// Right-hand sides of the equations.
         sides: Write<[f32; 2]>,
+    }
+}
+
+kernel! {
+    /// Estimates the slopes of a flow around each pixel.
+    pub struct Slopes("flow/slopes"), workgroup: [16, 4, 1],
+    params: SlopesParams {
+        /// Width of the level, pixels.
+        width: i32,
+        /// Height of the level, pixels.
+        height: i32,
+    },
+    args: SlopesArgs {
+        /// The flow.
+        flow: Read<[f32; 2]>,
+        /// Weight of each pixel, in (0, 1].
+        trust: Read<f32>,
+        /// Per pixel du/dx, du/dy, dv/dx, dv/dy.
+        slopes: Write<[f32; 4]>,
+    }
+}
+
+kernel! {
+    /// Adds to the right-hand sides the differences between neighbours that the slopes predict.
+    pub struct Slant("flow/slant"), workgroup: [16, 4, 1],
+    params: SlantParams {
+        /// Width of the level, pixels.
+        width: i32,
+        /// Height of the level, pixels.
+        height: i32,
+    },
+    args: SlantArgs {
+        /// As [`Linearise`] writes them.
+        matrices: Read<[f32; 4]>,
+        /// As [`Slopes`] writes them.
+        slopes: Read<[f32; 4]>,
+        /// Right-hand sides as [`Linearise`] writes them.
+        sides: ReadWrite<[f32; 2]>,
     }
 }
 

@@ -63,6 +63,8 @@ pub const ALL: &[KernelInfo] = &[
     flow::Densify::INFO,
     flow::Trust::INFO,
     flow::Linearise::INFO,
+    flow::Slopes::INFO,
+    flow::Slant::INFO,
     flow::Relax::INFO,
     flow::Median::INFO,
     flow::Confidence::INFO,

@@ -31,8 +31,11 @@ pub struct FlowSettings {
     pub brightness: f32,
     /// Weight of gradient constancy.
     pub gradient: f32,
-    /// Weight of smoothness.
+    /// Weight of smoothness at the finest level, where it penalises the difference from a flow that is affine
+    /// around each pixel.
     pub smoothness: f32,
+    /// Weight of smoothness at the other levels, where it penalises all differences between neighbours.
+    pub coarse_smoothness: f32,
     /// Luminance gradient per pixel at which smoothness has fallen to 1/e.
     pub edge: f32,
     /// Gradients below this count as noise when the data terms are normalised.
@@ -55,7 +58,8 @@ impl Default for FlowSettings {
             relaxation: 1.8,
             brightness: 0.2,
             gradient: 1.0,
-            smoothness: 0.3,
+            smoothness: 1.0,
+            coarse_smoothness: 0.3,
             edge: 0.08,
             noise: 0.012,
             kink: 0.05,
@@ -67,6 +71,11 @@ impl FlowSettings {
     /// The largest start radius: the costs of its window must fit a workgroup's shared memory.
     pub const MAX_START_RADIUS: u32 = 16;
 
+    /// Weight of smoothness at the finest level or at the others.
+    pub(crate) fn smoothness_at(&self, finest: bool) -> f32 {
+        if finest { self.smoothness } else { self.coarse_smoothness }
+    }
+
     /// Checks that all values are valid.
     ///
     /// # Errors
@@ -77,6 +86,7 @@ impl FlowSettings {
             ("noise", self.noise),
             ("kink", self.kink),
             ("smoothness", self.smoothness),
+            ("coarse_smoothness", self.coarse_smoothness),
         ];
         let weights = [("brightness", self.brightness), ("gradient", self.gradient)];
         let wrong = positive

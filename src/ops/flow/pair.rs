@@ -7,8 +7,9 @@ use crate::kernels::flow::{
     Cheapest, CheapestArgs, CheapestParams, Confidence, ConfidenceArgs, ConfidenceParams, Densify,
     DensifyArgs, DensifyParams, Linearise, LineariseArgs, LineariseParams, Median, MedianArgs,
     MedianParams, Path, PathArgs, PathParams, Propagate, PropagateArgs, PropagateParams, Relax,
-    RelaxArgs, RelaxParams, Search, SearchArgs, SearchParams, Trust, TrustArgs, TrustParams,
-    Upsample, UpsampleArgs, UpsampleParams,
+    RelaxArgs, RelaxParams, Search, SearchArgs, SearchParams, Slant, SlantArgs, SlantParams,
+    Slopes, SlopesArgs, SlopesParams, Trust, TrustArgs, TrustParams, Upsample, UpsampleArgs,
+    UpsampleParams,
 };
 use crate::types::FlowSettings;
 
@@ -31,6 +32,7 @@ struct Direction {
     patches: Buffer<[f32; 4]>,
     spread: Buffer<[f32; 4]>,
     trust: Buffer<f32>,
+    slopes: Buffer<[f32; 4]>,
     matrices: Buffer<[f32; 4]>,
     sides: Buffer<[f32; 2]>,
 }
@@ -68,6 +70,7 @@ impl Flow {
                 patches: device.buffer("flow patches", patches)?,
                 spread: device.buffer("flow patches, spread", patches)?,
                 trust: device.buffer("flow trust", n)?,
+                slopes: device.buffer("flow slopes", n)?,
                 matrices: device.buffer("flow matrices", n)?,
                 sides: device.buffer("flow sides", n)?,
             })
@@ -81,7 +84,8 @@ impl Flow {
     /// At the coarsest level: four times `flow/path`, then `flow/cheapest`. At each level, the coarsest
     /// first: `flow/upsample` (not at the coarsest), `flow/search`, `flow/propagate` once per
     /// propagation of the settings, `flow/densify`, `flow/trust`, `flow/median`, and for each warp
-    /// `flow/linearise`, `flow/relax` twice per sweep, `flow/median`. Finally `flow/confidence`.
+    /// `flow/slopes` (at the finest level), `flow/linearise`, `flow/slant` (at the finest level),
+    /// `flow/relax` twice per sweep, `flow/median`. Finally `flow/confidence`.
     ///
     /// # Errors
     /// [`Error::Shape`](crate::Error::Shape) for a buffer that is too short; else as for
@@ -293,7 +297,22 @@ impl Flow {
             )?;
         }
         self.record_median(recorder, l, scratch)?;
+        let finest = l == 0;
+        for direction in scratch.directions.iter_mut().filter(|_| !finest) {
+            recorder.fill(direction.slopes.view_mut(), 0);
+        }
         for _ in 0..s.warps {
+            for direction in scratch.directions.iter_mut().filter(|_| finest) {
+                recorder.dispatch::<Slopes>(
+                    pixels,
+                    SlopesParams { width, height },
+                    SlopesArgs {
+                        flow: direction.flow.view(),
+                        trust: direction.trust.view(),
+                        slopes: direction.slopes.view_mut(),
+                    },
+                )?;
+            }
             for (d, direction) in scratch.directions.iter_mut().enumerate() {
                 let (a, b) = args.frames(d);
                 recorder.dispatch::<Linearise>(
@@ -303,7 +322,7 @@ impl Flow {
                         height,
                         brightness: s.brightness,
                         gradient: s.gradient,
-                        smoothness: s.smoothness,
+                        smoothness: s.smoothness_at(finest),
                         edge: s.edge,
                         noise: s.noise,
                         kink: s.kink,
@@ -315,7 +334,19 @@ impl Flow {
                         derivatives_b: b.levels[l].derivatives.view(),
                         flow: direction.flow.view(),
                         trust: direction.trust.view(),
+                        slopes: direction.slopes.view(),
                         matrices: direction.matrices.view_mut(),
+                        sides: direction.sides.view_mut(),
+                    },
+                )?;
+            }
+            for direction in scratch.directions.iter_mut().filter(|_| finest) {
+                recorder.dispatch::<Slant>(
+                    pixels,
+                    SlantParams { width, height },
+                    SlantArgs {
+                        matrices: direction.matrices.view(),
+                        slopes: direction.slopes.view(),
                         sides: direction.sides.view_mut(),
                     },
                 )?;

@@ -5,7 +5,10 @@
 //! their displacement (dense inverse search, Kroeger et al. 2016, with zero-mean residuals and with
 //! slanted candidates passed between neighbours as in PatchMatch stereo, Bleyer et al. 2011). Their
 //! displacements are blended into a dense flow. A variational refinement (Brox et al. 2004, with
-//! the normalised data terms of Zimmer et al. 2011) then smooths it along image edges. Both
+//! the normalised data terms of Zimmer et al. 2011) then smooths it along image edges. At the finest level,
+//! smoothness penalises the difference from a flow that is affine around each pixel, in the manner of
+//! second-order regularisation (Braux-Zin et al. 2013): penalising all differences makes a slanted surface,
+//! such as the ground, move too evenly. Both
 //! directions of a pair are computed together: where they disagree, the data terms get low weight
 //! and smoothness fills in.
 //!
@@ -25,7 +28,7 @@ pub use coarse::{OUTSIDE, PATHS, accumulate, census, cheapest, coarse};
 pub use consistency::{confidence, trust};
 pub use patches::{PATCH, Patch, STRIDE, densify, patch_grid, propagate, search};
 pub use pyramid::{Level, Pyramid, derivatives, halve, luminance, upsample};
-pub use refine::{Equation, linearise, median, relax};
+pub use refine::{Equation, linearise, median, relax, slant, slopes};
 
 use super::Real;
 use crate::types::FlowSettings;
@@ -78,7 +81,15 @@ pub fn flow<T: Real>(
             let (a, b) = if d == 0 { (a, b) } else { (b, a) };
             let mut flow = median(&dense[d], a.width, a.height);
             for _ in 0..settings.warps {
-                let equations = linearise(a, b, &flow, &trusts[d], settings);
+                let finest = l == 0;
+                let slopes = match finest {
+                    true => slopes(&flow, &trusts[d], a.width, a.height),
+                    false => vec![[T::zero(); 4]; flow.len()],
+                };
+                let smoothness = settings.smoothness_at(finest);
+                let mut equations =
+                    linearise(a, b, &flow, &trusts[d], &slopes, smoothness, settings);
+                slant(&mut equations, &slopes, a.width, a.height);
                 for _ in 0..settings.sweeps {
                     relax(&mut flow, &equations, a.width, a.height, 0, settings);
                     relax(&mut flow, &equations, a.width, a.height, 1, settings);

@@ -27,13 +27,16 @@ pub struct Equation<T> {
 ///
 /// Each data term `(∇f·(du, dv) + f_t)²/(|∇f|² + noise²)`, f being the luminance and its two
 /// derivatives, is a squared distance in pixels; a robust penalty √(·² + kink²) covers brightness,
-/// another the two gradients together, a third |∇u|² + |∇v|², weighted down at image edges.
+/// another the two gradients together, a third |∇u − slope|² + |∇v − slope|², weighted down at image edges
+/// by `smoothness`. `slopes` holds du/dx, du/dy, dv/dx, dv/dy per pixel.
 /// `trust` scales the data terms; a pixel that leaves the image has none.
 pub fn linearise<T: Real>(
     a: &Level<T>,
     b: &Level<T>,
     flow: &[[T; 2]],
     trust: &[T],
+    slopes: &[[T; 4]],
+    smoothness: f32,
     settings: &FlowSettings,
 ) -> Vec<Equation<T>> {
     let (w, h) = (a.width, a.height);
@@ -89,19 +92,100 @@ pub fn linearise<T: Real>(
             let at =
                 |i: isize, j: isize| flow[clamp(y as isize + j, h) * w + clamp(x as isize + i, w)];
             let mut variation = T::zero();
-            for (q, r) in [(at(1, 0), at(-1, 0)), (at(0, 1), at(0, -1))] {
+            // The differences span one pixel less at the image's edges.
+            let span =
+                |i: usize, n: usize| T::of(0.5 * ((i + 1).min(n - 1) - i.saturating_sub(1)) as f64);
+            let along = [(at(1, 0), at(-1, 0), span(x, w)), (at(0, 1), at(0, -1), span(y, h))];
+            for (axis, (q, r, span)) in along.into_iter().enumerate() {
                 for k in 0..2 {
-                    let d = (q[k] - r[k]) * T::of(0.5);
+                    let d = (q[k] - r[k]) * T::of(0.5) - span * slopes[p][2 * k + axis];
                     variation += d * d;
                 }
             }
             let [dx, dy, ..] = a.derivatives[p];
             let edge = (-(dx * dx + dy * dy).sqrt() / of(settings.edge)).exp();
-            e.pull = of(settings.smoothness) * (edge + T::of(0.02)) * robust(variation);
+            e.pull = of(smoothness) * (edge + T::of(0.02)) * robust(variation);
             out.push(e);
         }
     }
     out
+}
+
+/// Spacing of the pixels that a slope is fitted to, and the number of them to each side.
+const STEP: usize = 4;
+const REACH: isize = 6;
+/// Difference of the flow at which the weight of a pixel has fallen to a quarter, pixels.
+const ALIKE: f64 = 0.5;
+/// Added to the moments of the positions, pixels².
+const RIDGE: f64 = 500.0;
+
+/// The slopes du/dx, du/dy, dv/dx, dv/dy of the flow around each pixel: a weighted least-squares fit of an
+/// affine flow to the surroundings. The weight of a pixel is its `trust`, times a factor that falls with
+/// the difference of its flow, because a different flow belongs to a different surface.
+pub fn slopes<T: Real>(flow: &[[T; 2]], trust: &[T], width: usize, height: usize) -> Vec<[T; 4]> {
+    let of_pixel = |p: usize| {
+        let (x, y) = ((p % width) as isize, (p / width) as isize);
+        let inside = |i: isize, n: usize| (0..n as isize).contains(&i);
+        let mut near = Vec::new();
+        for j in -REACH..=REACH {
+            for i in -REACH..=REACH {
+                let (dx, dy) = (i * STEP as isize, j * STEP as isize);
+                if !(inside(x + dx, width) && inside(y + dy, height)) {
+                    continue;
+                }
+                let q = (y + dy) as usize * width + (x + dx) as usize;
+                let change = [0, 1].map(|k| flow[q][k] - flow[p][k]);
+                let squared = change[0] * change[0] + change[1] * change[1];
+                let alike = (T::one() + squared / T::of(ALIKE * ALIKE)).recip();
+                near.push((trust[q] * alike * alike, [dx, dy].map(|d| T::of(d as f64)), change));
+            }
+        }
+        let sum = |term: &dyn Fn(&(T, [T; 2], [T; 2])) -> T| {
+            near.iter().map(|n| n.0 * term(n)).fold(T::zero(), |a, b| a + b)
+        };
+        let weight = sum(&|_| T::one());
+        let mean = [0, 1].map(|i| sum(&|n| n.1[i]) / weight);
+        let moment = |i: usize, j: usize| sum(&|n| (n.1[i] - mean[i]) * (n.1[j] - mean[j]));
+        let (a, b, c) = (moment(0, 0) + T::of(RIDGE), moment(0, 1), moment(1, 1) + T::of(RIDGE));
+        let inverse = (a * c - b * b).recip();
+        let [u, v] = [0, 1].map(|k| {
+            let [r, s] = [0, 1].map(|i| sum(&|n| n.2[k] * (n.1[i] - mean[i])));
+            [(c * r - b * s) * inverse, (a * s - b * r) * inverse]
+        });
+        [u[0], u[1], v[0], v[1]]
+    };
+    (0..flow.len()).map(of_pixel).collect()
+}
+
+/// Adds to the right-hand sides the differences between neighbouring pixels that the slopes predict.
+pub fn slant<T: Real>(
+    equations: &mut [Equation<T>],
+    slopes: &[[T; 4]],
+    width: usize,
+    height: usize,
+) {
+    let pulls: Vec<T> = equations.iter().map(|e| e.pull).collect();
+    for (p, e) in equations.iter_mut().enumerate() {
+        let (x, y) = (p % width, p / width);
+        let mut add = |q: usize, axis: usize, sign: f64| {
+            let pull = (pulls[p] + pulls[q]) * T::of(0.5);
+            let mean = |k: usize| (slopes[p][2 * k + axis] + slopes[q][2 * k + axis]) * T::of(0.5);
+            e.r += T::of(sign) * pull * mean(0);
+            e.s += T::of(sign) * pull * mean(1);
+        };
+        if x > 0 {
+            add(p - 1, 0, 1.0);
+        }
+        if x + 1 < width {
+            add(p + 1, 0, -1.0);
+        }
+        if y > 0 {
+            add(p - width, 1, 1.0);
+        }
+        if y + 1 < height {
+            add(p + width, 1, -1.0);
+        }
+    }
 }
 
 /// One half-sweep of over-relaxation: solves the pixels with (x + y) mod 2 = `colour` for their own

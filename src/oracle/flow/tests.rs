@@ -42,7 +42,11 @@ fn relaxation_solves_the_equations() {
     let (a, b) = (&first.levels[0], &second.levels[0]);
     let settings = FlowSettings::default();
     let mut flow = vec![[0.0; 2]; WIDTH * HEIGHT];
-    let equations = linearise(a, b, &flow, &vec![1.0; WIDTH * HEIGHT], &settings);
+    let slopes = vec![[0.01, -0.02, 0.03, 0.01]; WIDTH * HEIGHT];
+    let trust = vec![1.0; WIDTH * HEIGHT];
+    let mut equations = linearise(a, b, &flow, &trust, &slopes, settings.smoothness, &settings);
+    let plain = equations.clone();
+    slant(&mut equations, &slopes, WIDTH, HEIGHT);
     for half_sweep in 0..600 {
         relax(&mut flow, &equations, WIDTH, HEIGHT, half_sweep % 2, &settings);
     }
@@ -50,17 +54,46 @@ fn relaxation_solves_the_equations() {
     for y in 1..HEIGHT - 1 {
         for x in 1..WIDTH - 1 {
             let p = y * WIDTH + x;
-            let e = equations[p];
+            let e = plain[p];
             let [u, v] = flow[p];
             let mut residual = [e.a * u + e.b * v - e.r, e.b * u + e.c * v - e.s];
-            for q in [p - 1, p + 1, p - WIDTH, p + WIDTH] {
-                let pull = 0.5 * (e.pull + equations[q].pull);
-                residual[0] += pull * (u - flow[q][0]);
-                residual[1] += pull * (v - flow[q][1]);
+            for (dx, dy) in [(-1, 0), (1, 0), (0, -1), (0, 1)] {
+                let q = p.wrapping_add_signed(dy * WIDTH as isize + dx);
+                let pull = 0.5 * (e.pull + plain[q].pull);
+                let [ux, uy, vx, vy] = slopes[p];
+                let predicted = |sx: f64, sy: f64| sx * dx as f64 + sy * dy as f64;
+                residual[0] += pull * (u - flow[q][0] + predicted(ux, uy));
+                residual[1] += pull * (v - flow[q][1] + predicted(vx, vy));
             }
             assert!(residual[0].hypot(residual[1]) < 1e-6, "{x}, {y}: {residual:?}");
         }
     }
+}
+
+#[test]
+fn slopes_are_those_of_the_surface() {
+    // Two affine flows that meet at x = 30.
+    let at = |p: usize| {
+        let (x, y) = ((p % WIDTH) as f64, (p / WIDTH) as f64);
+        if x < 30.0 {
+            [0.01 * x + 0.002 * y, -0.004 * x + 0.006 * y]
+        } else {
+            [9.0 - 0.008 * x, 3.0 + 0.01 * y]
+        }
+    };
+    let flow: Vec<[f64; 2]> = (0..WIDTH * HEIGHT).map(at).collect();
+    let found = slopes(&flow, &vec![1.0; flow.len()], WIDTH, HEIGHT);
+    for (p, truth) in [
+        (20 * WIDTH + 12, [0.01, 0.002, -0.004, 0.006]),
+        (20 * WIDTH + 27, [0.01, 0.002, -0.004, 0.006]),
+        (30 * WIDTH + 50, [-0.008, 0.0, 0.0, 0.01]),
+    ] {
+        // The ridge shrinks slopes, the more the fewer pixels are alike.
+        let off = (0..4).map(|k| (found[p][k] - truth[k]).abs()).fold(0.0, f64::max);
+        assert!(off < 0.15 * 0.01, "{:?} is not {truth:?}", found[p]);
+    }
+    // No surroundings, no slopes.
+    assert_eq!(slopes(&[[1.0, 2.0]], &[1.0], 1, 1), vec![[0.0; 4]]);
 }
 
 #[test]
