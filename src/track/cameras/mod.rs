@@ -6,6 +6,7 @@ mod judgement;
 mod lens;
 mod motions;
 mod posing;
+mod surface;
 mod translating;
 mod turning;
 
