@@ -31,11 +31,11 @@ pub struct FlowSettings {
     pub brightness: f32,
     /// Weight of gradient constancy.
     pub gradient: f32,
-    /// Weight of smoothness at the finest level, where it penalises the difference from a flow that is affine
-    /// around each pixel.
+    /// Weight of smoothness, which penalises all differences between neighbours.
     pub smoothness: f32,
-    /// Weight of smoothness at the other levels, where it penalises all differences between neighbours.
-    pub coarse_smoothness: f32,
+    /// Weight of smoothness at the finest level if there it penalises only the difference from a flow that is
+    /// affine around each pixel, such as that of a slanted surface; 0 to penalise all differences there too.
+    pub affine_smoothness: f32,
     /// Luminance gradient per pixel at which smoothness has fallen to 1/e.
     pub edge: f32,
     /// Gradients below this count as noise when the data terms are normalised.
@@ -58,8 +58,8 @@ impl Default for FlowSettings {
             relaxation: 1.8,
             brightness: 0.2,
             gradient: 1.0,
-            smoothness: 1.0,
-            coarse_smoothness: 0.3,
+            smoothness: 0.3,
+            affine_smoothness: 0.0,
             edge: 0.08,
             noise: 0.012,
             kink: 0.05,
@@ -71,9 +71,14 @@ impl FlowSettings {
     /// The largest start radius: the costs of its window must fit a workgroup's shared memory.
     pub const MAX_START_RADIUS: u32 = 16;
 
-    /// Weight of smoothness at the finest level or at the others.
-    pub(crate) fn smoothness_at(&self, finest: bool) -> f32 {
-        if finest { self.smoothness } else { self.coarse_smoothness }
+    /// Whether smoothness at the finest level penalises only the difference from a locally affine flow.
+    pub(crate) fn is_affine(&self, level: usize) -> bool {
+        level == 0 && self.affine_smoothness > 0.0
+    }
+
+    /// Weight of smoothness at a level of the pyramid, 0 being the finest.
+    pub(crate) fn smoothness_at(&self, level: usize) -> f32 {
+        if self.is_affine(level) { self.affine_smoothness } else { self.smoothness }
     }
 
     /// Checks that all values are valid.
@@ -86,9 +91,12 @@ impl FlowSettings {
             ("noise", self.noise),
             ("kink", self.kink),
             ("smoothness", self.smoothness),
-            ("coarse_smoothness", self.coarse_smoothness),
         ];
-        let weights = [("brightness", self.brightness), ("gradient", self.gradient)];
+        let weights = [
+            ("brightness", self.brightness),
+            ("gradient", self.gradient),
+            ("affine_smoothness", self.affine_smoothness),
+        ];
         let wrong = positive
             .into_iter()
             .find(|(_, value)| !(value.is_finite() && *value > 0.0))

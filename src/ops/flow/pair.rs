@@ -84,7 +84,7 @@ impl Flow {
     /// At the coarsest level: four times `flow/path`, then `flow/cheapest`. At each level, the coarsest
     /// first: `flow/upsample` (not at the coarsest), `flow/search`, `flow/propagate` once per
     /// propagation of the settings, `flow/densify`, `flow/trust`, `flow/median`, and for each warp
-    /// `flow/slopes` (at the finest level), `flow/linearise`, `flow/slant` (at the finest level),
+    /// `flow/linearise`, with affine smoothness at the finest level `flow/slopes` before and `flow/slant` after it,
     /// `flow/relax` twice per sweep, `flow/median`. Finally `flow/confidence`.
     ///
     /// # Errors
@@ -297,12 +297,12 @@ impl Flow {
             )?;
         }
         self.record_median(recorder, l, scratch)?;
-        let finest = l == 0;
-        for direction in scratch.directions.iter_mut().filter(|_| !finest) {
+        let affine = s.is_affine(l);
+        for direction in scratch.directions.iter_mut().filter(|_| !affine) {
             recorder.fill(direction.slopes.view_mut(), 0);
         }
         for _ in 0..s.warps {
-            for direction in scratch.directions.iter_mut().filter(|_| finest) {
+            for direction in scratch.directions.iter_mut().filter(|_| affine) {
                 recorder.dispatch::<Slopes>(
                     pixels,
                     SlopesParams { width, height },
@@ -322,7 +322,7 @@ impl Flow {
                         height,
                         brightness: s.brightness,
                         gradient: s.gradient,
-                        smoothness: s.smoothness_at(finest),
+                        smoothness: s.smoothness_at(l),
                         edge: s.edge,
                         noise: s.noise,
                         kink: s.kink,
@@ -340,7 +340,7 @@ impl Flow {
                     },
                 )?;
             }
-            for direction in scratch.directions.iter_mut().filter(|_| finest) {
+            for direction in scratch.directions.iter_mut().filter(|_| affine) {
                 recorder.dispatch::<Slant>(
                     pixels,
                     SlantParams { width, height },

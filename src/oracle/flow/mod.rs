@@ -5,12 +5,13 @@
 //! their displacement (dense inverse search, Kroeger et al. 2016, with zero-mean residuals and with
 //! slanted candidates passed between neighbours as in PatchMatch stereo, Bleyer et al. 2011). Their
 //! displacements are blended into a dense flow. A variational refinement (Brox et al. 2004, with
-//! the normalised data terms of Zimmer et al. 2011) then smooths it along image edges. At the finest level,
-//! smoothness penalises the difference from a flow that is affine around each pixel, in the manner of
-//! second-order regularisation (Braux-Zin et al. 2013): penalising all differences makes a slanted surface,
-//! such as the ground, move too evenly. Both
+//! the normalised data terms of Zimmer et al. 2011) then smooths it along image edges. Both
 //! directions of a pair are computed together: where they disagree, the data terms get low weight
 //! and smoothness fills in.
+//!
+//! Smoothness makes a slanted surface, such as the ground, move too evenly. With
+//! [`affine_smoothness`](FlowSettings::affine_smoothness) it penalises only the difference from a flow that is
+//! affine around each pixel, a kind of second-order regularisation.
 //!
 //! A displacement (u, v) at pixel (x, y) says that the point seen there is at (x + u, y + v) in the
 //! other image, in pixels, x right and y down. Arrays are row-major.
@@ -81,12 +82,11 @@ pub fn flow<T: Real>(
             let (a, b) = if d == 0 { (a, b) } else { (b, a) };
             let mut flow = median(&dense[d], a.width, a.height);
             for _ in 0..settings.warps {
-                let finest = l == 0;
-                let slopes = match finest {
+                let slopes = match settings.is_affine(l) {
                     true => slopes(&flow, &trusts[d], a.width, a.height),
                     false => vec![[T::zero(); 4]; flow.len()],
                 };
-                let smoothness = settings.smoothness_at(finest);
+                let smoothness = settings.smoothness_at(l);
                 let mut equations =
                     linearise(a, b, &flow, &trusts[d], &slopes, smoothness, settings);
                 slant(&mut equations, &slopes, a.width, a.height);

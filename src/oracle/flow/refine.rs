@@ -119,6 +119,13 @@ const ALIKE: f64 = 0.5;
 /// Added to the moments of the positions, pixels².
 const RIDGE: f64 = 500.0;
 
+/// A pixel of the surroundings: its weight, its offset from the middle, and the difference of its flow.
+struct Near<T> {
+    weight: T,
+    offset: [T; 2],
+    change: [T; 2],
+}
+
 /// The slopes du/dx, du/dy, dv/dx, dv/dy of the flow around each pixel: a weighted least-squares fit of an
 /// affine flow to the surroundings. The weight of a pixel is its `trust`, times a factor that falls with
 /// the difference of its flow, because a different flow belongs to a different surface.
@@ -137,19 +144,21 @@ pub fn slopes<T: Real>(flow: &[[T; 2]], trust: &[T], width: usize, height: usize
                 let change = [0, 1].map(|k| flow[q][k] - flow[p][k]);
                 let squared = change[0] * change[0] + change[1] * change[1];
                 let alike = (T::one() + squared / T::of(ALIKE * ALIKE)).recip();
-                near.push((trust[q] * alike * alike, [dx, dy].map(|d| T::of(d as f64)), change));
+                let offset = [dx, dy].map(|d| T::of(d as f64));
+                near.push(Near { weight: trust[q] * alike * alike, offset, change });
             }
         }
-        let sum = |term: &dyn Fn(&(T, [T; 2], [T; 2])) -> T| {
-            near.iter().map(|n| n.0 * term(n)).fold(T::zero(), |a, b| a + b)
+        let sum = |term: &dyn Fn(&Near<T>) -> T| {
+            near.iter().map(|n| n.weight * term(n)).fold(T::zero(), |a, b| a + b)
         };
         let weight = sum(&|_| T::one());
-        let mean = [0, 1].map(|i| sum(&|n| n.1[i]) / weight);
-        let moment = |i: usize, j: usize| sum(&|n| (n.1[i] - mean[i]) * (n.1[j] - mean[j]));
+        let mean = [0, 1].map(|i| sum(&|n| n.offset[i]) / weight);
+        let moment =
+            |i: usize, j: usize| sum(&|n| (n.offset[i] - mean[i]) * (n.offset[j] - mean[j]));
         let (a, b, c) = (moment(0, 0) + T::of(RIDGE), moment(0, 1), moment(1, 1) + T::of(RIDGE));
         let inverse = (a * c - b * b).recip();
         let [u, v] = [0, 1].map(|k| {
-            let [r, s] = [0, 1].map(|i| sum(&|n| n.2[k] * (n.1[i] - mean[i])));
+            let [r, s] = [0, 1].map(|i| sum(&|n| n.change[k] * (n.offset[i] - mean[i])));
             [(c * r - b * s) * inverse, (a * s - b * r) * inverse]
         });
         [u[0], u[1], v[0], v[1]]
