@@ -212,7 +212,6 @@ impl Known<'_> {
             } else {
                 kept?
             };
-            cameras.adjust_on_surfaces(tracks, &weights, &focal)?;
             work.progress(Stage::Cameras, 1.0)?;
         }
         Ok(SoFar { focal, cameras, masks, weights, motions, guess })

@@ -20,11 +20,8 @@ use crate::track::FocalSource;
 const ASSUMED_DEVIATION: f64 = 0.25;
 /// Lower bound of the scale of the residuals, in standard deviations of an observation.
 const DEVIATION_FLOOR: f64 = 0.5;
-/// Maximum number of points in an adjustment, and in the one to the tracks on surfaces.
+/// Maximum number of points in the last adjustment.
 pub(super) const POINTS: usize = 4000;
-const SURFACE_POINTS: usize = 10_000;
-/// Number of adjustments to the tracks on surfaces, each with the surfaces of the one before.
-const SURFACE_PASSES: usize = 2;
 
 impl Cameras {
     /// Adjusts poses, structure and focal length to the static tracks.
@@ -32,56 +29,22 @@ impl Cameras {
     /// # Errors
     /// No track has enough weight, or the adjustment diverged.
     pub fn adjust(&mut self, tracks: &[PointTrack], weights: &[f64], focal: &Focal) -> Result<()> {
-        self.triangulate(tracks, weights, &vec![true; self.poses.len()], true);
-        let report = self.solve_and_judge(tracks, weights, focal, POINTS)?;
-        (self.inlier_share, self.rms) = (report.inlier_ratio, report.inlier_rmse);
-        Ok(())
-    }
-
-    /// Adjusts poses, structure and focal length, which an adjustment to all static tracks has found, to those
-    /// tracks that continue the surface around them. Without depths there is nothing to do.
-    ///
-    /// # Errors
-    /// As for [`adjust`](Self::adjust).
-    pub fn adjust_on_surfaces(
-        &mut self,
-        tracks: &[PointTrack],
-        weights: &[f64],
-        focal: &Focal,
-    ) -> Result<()> {
-        if !self.have_parallax() {
-            return Ok(());
-        }
         let posed = vec![true; self.poses.len()];
-        for _ in 0..SURFACE_PASSES {
-            self.triangulate(tracks, weights, &posed, true);
-            let smooth = self.on_surfaces(tracks, weights);
-            self.solve_and_judge(tracks, &smooth, focal, SURFACE_POINTS)?;
-        }
-        Ok(())
-    }
-
-    /// Adjusts all frames to up to `most` tracks and sets the deviation of the focal length.
-    fn solve_and_judge(
-        &mut self,
-        tracks: &[PointTrack],
-        weights: &[f64],
-        focal: &Focal,
-        most: usize,
-    ) -> Result<bundle::Report> {
-        let posed = vec![true; self.poses.len()];
-        let report = self.solve(tracks, weights, &posed, focal.mode(), most, 4)?;
+        self.triangulate(tracks, weights, &posed, true);
+        let report = self.solve(tracks, weights, &posed, focal.mode(), POINTS, 4)?;
         if !focal.held {
             self.focal_std = report.focal_std.min(focal.deviation);
             if report.focal_released {
                 // The errors of neighbouring tracks are alike.
-                let (problem, _) = self.problem(tracks, weights, &posed, most);
+                let (problem, _) = self.problem(tracks, weights, &posed, POINTS);
                 self.focal_std =
                     focal_deviation_of_regions(&problem, &self.options(focal.mode(), 1))?;
                 self.focal_source = FocalSource::Measured;
             }
         }
-        Ok(report)
+        self.inlier_share = report.inlier_ratio;
+        self.rms = report.inlier_rmse;
+        Ok(())
     }
 
     /// Triangulates static tracks that are seen by frames with poses; with `afresh` also those that have a

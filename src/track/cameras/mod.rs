@@ -6,7 +6,6 @@ mod judgement;
 mod lens;
 mod motions;
 mod posing;
-mod surface;
 mod translating;
 mod turning;
 
