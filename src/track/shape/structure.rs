@@ -245,49 +245,7 @@ fn clipped(track: &PointTrack, run: &Range<usize>) -> Option<PointTrack> {
 
 #[cfg(test)]
 mod tests {
-    use glam::DVec2;
-
-    use super::super::super::cameras::Anchor;
     use super::*;
-    use crate::types::{Intrinsics, Pose};
-
-    #[test]
-    fn the_start_that_holds_longest_is_taken() {
-        // A ball that rotates uniformly before a camera at rest.
-        let intrinsics = Intrinsics::centred(300.0, 320, 180);
-        let pose = |k: usize| {
-            let turned = DQuat::from_rotation_y(0.04 * k as f64 - 0.2);
-            Pose::new(turned, DVec3::new(0.02 * k as f64 - 0.1, 0.0, 2.5))
-        };
-        let poses: Vec<Pose> = (0..12).map(pose).collect();
-        let track = |i: usize| {
-            let (x, y) = ((i % 10) as f64 / 9.0 - 0.5, (i / 10) as f64 / 9.0 - 0.5);
-            let point = DVec3::new(x, y, -(0.6 - x * x - y * y).sqrt()) * 0.8;
-            let at = |pose: &Pose| intrinsics.project(pose.apply(point));
-            let track = PointTrack::followed(0, poses.iter().map(at).collect(), vec![0.1; 12]);
-            (track, Some(Anchor { frame: 0, inverse_depth: poses[0].apply(point).z.recip() }))
-        };
-        let (tracks, anchors): (Vec<PointTrack>, Vec<_>) = (0..100).map(track).unzip();
-        assert!(tracks.iter().all(|t| t.pixels.iter().all(|p| p.cmpge(DVec2::ZERO).all())));
-        let mut good = Cameras::known(intrinsics, poses.clone());
-        (good.anchors, good.inlier_share, good.rms) = (anchors, 1.0, 0.1);
-        // From the middle on it shows the ball from another side.
-        let mut bad = good.clone();
-        bad.poses[6..].iter_mut().for_each(|pose| {
-            pose.rotation *= DQuat::from_rotation_y(0.8);
-        });
-        let still = Cameras::known(intrinsics, vec![Pose::IDENTITY; 12]);
-        let rotations = vec![DQuat::IDENTITY; 12];
-        let clip = Clip { tracks, sizes: &[0.9; 12], cameras: &still, rotations };
-        let of_first = clip.trimmed(0..12, |run, _| {
-            let mut part = bad.clone();
-            part.poses = bad.poses[run.clone()].to_vec();
-            Some(vec![part])
-        });
-        assert_eq!(of_first.unwrap().run.len(), 6);
-        let longest = clip.trimmed(0..12, |_, _| Some(vec![bad.clone(), good.clone()]));
-        assert_eq!(longest.unwrap().run, 0..12);
-    }
 
     #[test]
     fn both_changes_beside_an_abrupt_step_are_large() {
