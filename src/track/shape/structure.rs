@@ -82,12 +82,12 @@ impl Clip<'_> {
         self.trimmed(run, |run, tracks| {
             let solved = cameras::translating(tracks, focal, &self.rotations[run.clone()]).ok()?;
             let freed = solved.freed(tracks, focal).ok()?;
-            (solved.rms <= WORSE * freed.rms).then(|| vec![solved])
+            (solved.rms <= WORSE * freed.rms).then_some(solved)
         })
     }
 
     /// The structure from motion of an object that rotates: of all starts with about the least reprojection
-    /// error, the one that holds in the longest part of the run; of those, the one whose rotation is steadiest.
+    /// error, the one whose rotation is steadiest.
     fn rotating(
         &self,
         within: Range<usize>,
@@ -120,10 +120,8 @@ impl Clip<'_> {
                 let changes = self.changes(cameras, run).into_iter();
                 changes.map(|change| (change / ABRUPT).powi(2).ln_1p()).sum()
             };
-            let mut judged: Vec<(f64, Cameras)> =
-                alike.map(|cameras| (unsteady(&cameras), cameras)).collect();
-            judged.sort_by(|a, b| a.0.total_cmp(&b.0));
-            Some(judged.into_iter().map(|(_, cameras)| cameras).collect())
+            let judged = alike.map(|cameras| (unsteady(&cameras), cameras));
+            Some(judged.min_by(|a, b| a.0.total_cmp(&b.0))?.1)
         })
     }
 
@@ -139,54 +137,35 @@ impl Clip<'_> {
     }
 
     /// The accepted structure from motion in the longest part of a run in which its depths agree with the
-    /// sizes in the image and its rotation has no abrupt step. `solve` gives the possible cameras relative to the
-    /// object from a run and the tracks in it, the best first.
+    /// sizes in the image and its rotation has no abrupt step. `solve` gives the cameras relative to the object
+    /// from a run and the tracks in it.
     fn trimmed(
         &self,
         mut run: Range<usize>,
-        mut solve: impl FnMut(&Range<usize>, &[PointTrack]) -> Option<Vec<Cameras>>,
+        mut solve: impl FnMut(&Range<usize>, &[PointTrack]) -> Option<Cameras>,
     ) -> Option<Piece> {
         while run.len() >= LEAST_RUN {
             let (places, parts) = self.parts(&run);
-            let mut best: Option<(Range<usize>, Piece)> = None;
-            for solved in solve(&run, &parts)? {
-                let tracks = self.tracks.len();
-                let found = believed(&solved, &parts, &places, tracks, run.clone(), self.cameras);
-                let Some((piece, deepness)) = found else { continue };
-                let solid = self.solid(&run, &solved, &piece, &deepness);
-                if best.as_ref().is_none_or(|(longest, _)| solid.len() > longest.len()) {
-                    best = Some((solid, piece));
-                }
-            }
-            let (solid, piece) = best?;
+            let solved = solve(&run, &parts)?;
+            let (piece, deepness) =
+                believed(&solved, &parts, &places, self.tracks.len(), run.clone(), self.cameras)?;
+            // A change of depth without a change of size is an error of the solution.
+            let off = |k: usize| {
+                let change = (piece.frames[k + 1].depth / piece.frames[k].depth).ln();
+                change - (self.sizes[run.start + k + 1] - self.sizes[run.start + k])
+            };
+            let off: Vec<f64> = (0..run.len() - 1).map(off).collect();
+            let usual = quantile(off.clone(), 0.5);
+            let good = |k: usize| deepness[k] < DEEPEST;
+            let abrupt = abrupt(&self.changes(&solved, &run));
+            let goes_on = |k: usize| (off[k] - usual).abs() < JUMP && !abrupt[k];
+            let solid = longest(run.len(), good, goes_on);
             if solid.len() == run.len() {
                 return Some(piece);
             }
             run = run.start + solid.start..run.start + solid.end;
         }
         None
-    }
-
-    /// The longest part of a run in which a solution's depths agree with the sizes in the image, its points are
-    /// not far out and its rotation has no abrupt step; counted from the start of the run.
-    fn solid(
-        &self,
-        run: &Range<usize>,
-        solved: &Cameras,
-        piece: &Piece,
-        deepness: &[f64],
-    ) -> Range<usize> {
-        // A change of depth without a change of size is an error of the solution.
-        let off = |k: usize| {
-            let change = (piece.frames[k + 1].depth / piece.frames[k].depth).ln();
-            change - (self.sizes[run.start + k + 1] - self.sizes[run.start + k])
-        };
-        let off: Vec<f64> = (0..run.len() - 1).map(off).collect();
-        let usual = quantile(off.clone(), 0.5);
-        let good = |k: usize| deepness[k] < DEEPEST;
-        let abrupt = abrupt(&self.changes(solved, run));
-        let goes_on = |k: usize| (off[k] - usual).abs() < JUMP && !abrupt[k];
-        longest(run.len(), good, goes_on)
     }
 
     /// The parts of the tracks within a run, and the tracks' indices.
