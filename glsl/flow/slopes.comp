@@ -15,13 +15,13 @@ layout(push_constant) uniform Params {
     int height;
 };
 
-// The surroundings: every STEP pixels, up to REACH steps to each side.
-const int STEP = 4;
-const int REACH = 6;
+// The surroundings: every SLOPE_STEP pixels, up to SLOPE_REACH steps to each side.
+const int SLOPE_STEP = 4;
+const int SLOPE_REACH = 6;
 // Difference of the flow at which the weight has fallen to a quarter, pixels.
-const float ALIKE = 0.5;
+const float SLOPE_ALIKE = 0.5;
 // Added to the moments of the positions, pixels². It keeps the slopes at 0 where few pixels are alike.
-const float RIDGE = 500.0;
+const float SLOPE_RIDGE = 500.0;
 
 void main() {
     ivec2 p = ivec2(gl_GlobalInvocationID.xy);
@@ -35,15 +35,15 @@ void main() {
     // Moments xx, xy, yy of the positions, and of the changes of the flow with the positions.
     vec3 moments = vec3(0.0);
     vec4 mixed = vec4(0.0);
-    ivec2 first = -min(ivec2(REACH), p / STEP);
-    ivec2 last = min(ivec2(REACH), (ivec2(width, height) - 1 - p) / STEP);
+    ivec2 first = -min(ivec2(SLOPE_REACH), p / SLOPE_STEP);
+    ivec2 last = min(ivec2(SLOPE_REACH), (ivec2(width, height) - 1 - p) / SLOPE_STEP);
     for (int j = first.y; j <= last.y; j++) {
         for (int i = first.x; i <= last.x; i++) {
-            int other = at + STEP * (j * width + i);
+            int other = at + SLOPE_STEP * (j * width + i);
             vec2 change = flow[other] - own;
-            float alike = 1.0 / (1.0 + dot(change, change) / (ALIKE * ALIKE));
+            float alike = 1.0 / (1.0 + dot(change, change) / (SLOPE_ALIKE * SLOPE_ALIKE));
             float weight = trust[other] * alike * alike;
-            vec2 d = float(STEP) * vec2(i, j);
+            vec2 d = float(SLOPE_STEP) * vec2(i, j);
             weights += weight;
             places += weight * d;
             changes += weight * change;
@@ -54,7 +54,7 @@ void main() {
     vec2 mean = places / weights;
     moments -= vec3(places.x * mean, places.y * mean.y);
     mixed -= vec4(changes.x * mean, changes.y * mean);
-    float a = moments.x + RIDGE, b = moments.y, c = moments.z + RIDGE;
+    float a = moments.x + SLOPE_RIDGE, b = moments.y, c = moments.z + SLOPE_RIDGE;
     float inverse = 1.0 / (a * c - b * b);
     slopes[at] = inverse * vec4(c * mixed.x - b * mixed.y, a * mixed.y - b * mixed.x,
                                 c * mixed.z - b * mixed.w, a * mixed.w - b * mixed.z);

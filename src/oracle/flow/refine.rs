@@ -112,12 +112,12 @@ pub fn linearise<T: Real>(
 }
 
 /// Spacing of the pixels that a slope is fitted to, and the number of them to each side.
-const STEP: usize = 4;
-const REACH: isize = 6;
+const SLOPE_STEP: usize = 4;
+const SLOPE_REACH: isize = 6;
 /// Difference of the flow at which the weight of a pixel has fallen to a quarter, pixels.
-const ALIKE: f64 = 0.5;
+const SLOPE_ALIKE: f64 = 0.5;
 /// Added to the moments of the positions, pixels².
-const RIDGE: f64 = 500.0;
+const SLOPE_RIDGE: f64 = 500.0;
 
 /// A pixel of the surroundings: its weight, its offset from the middle, and the difference of its flow.
 struct Near<T> {
@@ -134,16 +134,16 @@ pub fn slopes<T: Real>(flow: &[[T; 2]], trust: &[T], width: usize, height: usize
         let (x, y) = ((p % width) as isize, (p / width) as isize);
         let inside = |i: isize, n: usize| (0..n as isize).contains(&i);
         let mut near = Vec::new();
-        for j in -REACH..=REACH {
-            for i in -REACH..=REACH {
-                let (dx, dy) = (i * STEP as isize, j * STEP as isize);
+        for j in -SLOPE_REACH..=SLOPE_REACH {
+            for i in -SLOPE_REACH..=SLOPE_REACH {
+                let (dx, dy) = (i * SLOPE_STEP as isize, j * SLOPE_STEP as isize);
                 if !(inside(x + dx, width) && inside(y + dy, height)) {
                     continue;
                 }
                 let q = (y + dy) as usize * width + (x + dx) as usize;
                 let change = [0, 1].map(|k| flow[q][k] - flow[p][k]);
                 let squared = change[0] * change[0] + change[1] * change[1];
-                let alike = (T::one() + squared / T::of(ALIKE * ALIKE)).recip();
+                let alike = (T::one() + squared / T::of(SLOPE_ALIKE * SLOPE_ALIKE)).recip();
                 let offset = [dx, dy].map(|d| T::of(d as f64));
                 near.push(Near { weight: trust[q] * alike * alike, offset, change });
             }
@@ -155,7 +155,8 @@ pub fn slopes<T: Real>(flow: &[[T; 2]], trust: &[T], width: usize, height: usize
         let mean = [0, 1].map(|i| sum(&|n| n.offset[i]) / weight);
         let moment =
             |i: usize, j: usize| sum(&|n| (n.offset[i] - mean[i]) * (n.offset[j] - mean[j]));
-        let (a, b, c) = (moment(0, 0) + T::of(RIDGE), moment(0, 1), moment(1, 1) + T::of(RIDGE));
+        let (a, b, c) =
+            (moment(0, 0) + T::of(SLOPE_RIDGE), moment(0, 1), moment(1, 1) + T::of(SLOPE_RIDGE));
         let inverse = (a * c - b * b).recip();
         let [u, v] = [0, 1].map(|k| {
             let [r, s] = [0, 1].map(|i| sum(&|n| n.change[k] * (n.offset[i] - mean[i])));
