@@ -1124,6 +1124,19 @@ fn what_does_not_fit_is_told_before_the_work() {
         "train set -o x --random-points 50 --max-gaussians 1000000000 --view",
     );
     says(&said, &["with a page does not fit", "or leave out --view"]);
+    // More Gaussians than one binding can hold the rotations of.
+    let most = common::device().limits().storage_range / 16;
+    if most < 1 << 25 {
+        let number = (most + 1) as usize;
+        let mut splat = [0; 32];
+        splat[12..24].as_chunks_mut().0.fill(0.01f32.to_le_bytes());
+        splat[24..].fill(200);
+        fs::write(folder.path().join("large.splat"), splat.repeat(number)).unwrap();
+        let said = fails(folder.path(), 1, "view large.splat --seconds 1");
+        says(&said, &["Gaussians does not fit", "Gaussians would fit: leave Gaussians out"]);
+    } else {
+        eprintln!("not tested: a scene that `view` cannot show; {most} Gaussians fit this device");
+    }
     let found = json(folder.path(), "train set -o x --random-points 50 --steps 2");
     let (foreseen, taken) = (&found["predicted_bytes"], &found["peak_bytes"]);
     assert!(foreseen.as_u64() > Some(1 << 20) && taken.as_u64() > Some(1 << 20), "{found}");

@@ -527,6 +527,7 @@ fn the_compact_scene_is_small_and_looks_the_same() {
         assert_eq!(compact["plain_bytes"], plain);
         assert!(fs::metadata(at("small.safetensors")).unwrap().len() * 3 < plain);
         assert!(compact["psnr_lost"].as_f64() < Some(0.1) && compact["views"] == 5);
+        assert!(compact["share"].as_f64() <= Some(0.25), "degree {degree}: {compact}");
         let back = Scene::open(at("small.safetensors"), false).unwrap().scene;
         assert!(back.moves() && back.cameras == scene.cameras && back.report == scene.report);
         let most = Apart {

@@ -175,23 +175,23 @@ impl Rule {
                 (Cow::Owned(which), Cow::Owned(vec![MOTION[1] - MOTION[0]]))
             }
         };
-        let mut offsets = vec![f32::INFINITY; columns];
+        let mut least = vec![f32::INFINITY; columns];
         for row in values.chunks_exact(columns) {
-            offsets.iter_mut().zip(row).for_each(|(least, v)| *least = least.min(*v));
+            least.iter_mut().zip(row).for_each(|(least, v)| *least = least.min(*v));
         }
         // Offsets are whole multiples of the step, so that 0 stays 0; opacities and motion start at
         // their own minimum.
-        for (offset, step) in offsets.iter_mut().zip(&*steps) {
-            *offset = match self {
-                Rule::Opacity => 0.0,
-                Rule::Motion => MOTION[0],
-                _ if offset.is_finite() => (*offset / step).floor() * step,
-                _ => 0.0,
-            };
-        }
+        let offset = |(least, step): (f32, &f32)| match self {
+            Rule::Opacity => 0.0,
+            Rule::Motion => MOTION[0],
+            _ if least.is_finite() => (least / step).floor() * step,
+            _ => 0.0,
+        };
+        let offsets = least.into_iter().zip(&*steps).map(offset).map(decimal).collect::<Vec<_>>();
+        let steps: Vec<f64> = steps.iter().copied().map(decimal).collect();
         let number = |(at, v): (usize, &f32)| {
             let c = at % columns;
-            ((f64::from(*v) - f64::from(offsets[c])) / f64::from(steps[c])).round() as u32
+            ((f64::from(*v) - offsets[c]) / steps[c]).round() as u32
         };
         let numbers: Vec<u32> = values.iter().enumerate().map(number).collect();
         let most = numbers.iter().copied().max().unwrap_or(0);
@@ -203,6 +203,12 @@ impl Rule {
         );
         stream(name, &stored)
     }
+}
+
+/// The number whose decimal text is the shortest that gives this number as f32: the metadata is text, and the
+/// text of the f32's exact value is twice as long.
+fn decimal(value: f32) -> f64 {
+    value.to_string().parse().unwrap_or_else(|_| f64::from(value))
 }
 
 /// Stores numbers column-major as byte planes, the lowest byte of all numbers first.
