@@ -21,11 +21,10 @@ use glam::{DMat3, DVec2, DVec3};
 
 use super::cameras::Cameras;
 use super::contact::{contacts, touched};
-use super::contour::Region;
 use super::lower_end::{LowerEnd, lower_end};
 use super::movers::{BOUND, KNOWN};
 use super::objects::Object;
-use super::outline::{self, Outline, outline};
+use super::outline::{Outline, Outlines};
 use super::path::{Estimate, Pull, bent};
 use super::quantile;
 use super::shape::Shape;
@@ -39,9 +38,6 @@ const MIDDLE: (f64, f64) = (0.1, 2.0);
 /// Standard deviation along the line of sight, relative to the depth: first for a rigid object, then where
 /// not even the outline is known.
 const ALONG: (f64, f64) = (0.005, 0.1);
-/// Standard deviation of the offset between an object's centre of mass and the middle of the points observed
-/// on it, as a multiple of its radius, along each axis.
-const OFF_CENTRE: f64 = 0.3;
 /// Maximum number of frames with an unknown middle across which a path is continuous. Over a longer gap the
 /// object may have reversed its direction.
 const GAP: usize = 2;
@@ -201,12 +197,8 @@ pub(super) fn distance(
     let frames = object.first..object.first + shape.frames.len();
     let (owners, behind) = (&owners[frames.clone()], &behind[frames]);
     let width = cameras.intrinsics.width as usize;
-    let outlined = |(owners, behind): (&Vec<Option<u16>>, &Behind<'_>)| {
-        let region = Region::new(index as u16, owners, behind.inverse, width);
-        outline(&region, &cameras.intrinsics)
-    };
-    let outlines: Vec<Option<Outline>> = owners.iter().zip(behind).map(outlined).collect();
-    let outline_deviation = outline::deviation(&outlines);
+    let Outlines { frames: outlines, deviation: outline_deviation } =
+        Outlines::new(index as u16, owners, behind, &cameras.intrinsics);
     let steps = steps(shape);
     let observed = {
         let path: Vec<f64> = shape.frames.iter().map(|f| f.depth.ln()).collect();
@@ -230,8 +222,8 @@ pub(super) fn distance(
             (Some(_), None) => Some(ALONG.1),
             (None, None) => None,
         };
-        let view_from_object = turned * radius;
-        Seen { depth: observed[k], middle: middles[k], known, radius, view_from_object }
+        let off_centre = turned * (radius * shape.off_centre);
+        Seen { depth: observed[k], middle: middles[k], known, radius, off_centre }
     };
     let seen: Vec<Seen> = (0..observed.len()).map(seen).collect();
     let lower_ends: Vec<Option<LowerEnd>> = owners
@@ -341,9 +333,9 @@ struct Seen {
     known: Option<f64>,
     /// The object's radius, in the unit of its depth.
     radius: f64,
-    /// The rotation from the object's frame to the camera frame times the radius; zero where the rotation is
-    /// unknown.
-    view_from_object: DMat3,
+    /// The rotation from the object's frame to the camera frame times the standard deviation of the offset between
+    /// the centre of mass and the middle; zero where the rotation is unknown.
+    off_centre: DMat3,
 }
 
 /// What the smoothness of a path tells.
@@ -393,7 +385,7 @@ fn smoothness(
             centre: world_from_view.translation,
             across,
             along: along * depth,
-            off_centre: rotation * seen.view_from_object * OFF_CENTRE,
+            off_centre: rotation * seen.off_centre,
         }
     };
     let places: Vec<Place> = path.iter().enumerate().map(place).collect();
@@ -512,7 +504,7 @@ mod tests {
                     middle: middle + if part { DVec2::new(4.0, 0.0) } else { DVec2::ZERO },
                     known: (!part).then_some(ALONG.0),
                     radius: 0.2 * unit,
-                    view_from_object: DMat3::ZERO,
+                    off_centre: DMat3::ZERO,
                 }
             })
             .collect();

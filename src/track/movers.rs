@@ -11,9 +11,10 @@ use super::depth::Layer;
 use super::distance::{Behind, Distance, distance, shared_gravity};
 use super::masks::regions;
 use super::objects::{self, Object};
+use super::outline::Outlines;
 use super::path::Estimate;
 use super::relief::relief;
-use super::shape::{Frame, Shape, UPRIGHT_DRIFT, shape};
+use super::shape::{Frame, OFF_CENTRE, Shape, UPRIGHT_DRIFT, shape};
 use super::{Mover, estimated, quantile, unfollowed};
 use crate::geometry::sim3::Sim3;
 use crate::observe::NeighbourFlow;
@@ -67,9 +68,14 @@ pub(super) fn lift(
     behind: &[Behind<'_>],
 ) -> Lifted {
     let mut objects = objects::find(frames, flow, masks);
-    let mut shapes: Vec<Shape> = objects.iter().map(|object| shape(object, cameras)).collect();
     let mut owners: Vec<Vec<Option<u16>>> =
         (0..masks.len()).into_par_iter().map(|f| owners(&objects, &masks[f], f)).collect();
+    let shaped = |(i, object): (usize, &Object)| {
+        let frames = object.first..object.end;
+        let (owners, behind) = (&owners[frames.clone()], &behind[frames]);
+        shape(object, cameras, &Outlines::new(i as u16, owners, behind, &cameras.intrinsics))
+    };
+    let mut shapes: Vec<Shape> = objects.iter().enumerate().map(shaped).collect();
     let points: Vec<Vec<DVec2>> =
         (0..masks.len()).map(|f| followed(&objects, &shapes, f)).collect();
     let spacing = objects::spacing(masks) as f64;
@@ -353,7 +359,7 @@ fn before(
     };
     let frames = middles.iter().zip(&depths).map(frame).collect();
     let drift = vec![UPRIGHT_DRIFT; depths.len().saturating_sub(1)];
-    (Shape { frames, drift, middle: DVec3::ZERO, rigid: false }, depths)
+    (Shape { frames, drift, middle: DVec3::ZERO, rigid: false, off_centre: OFF_CENTRE.0 }, depths)
 }
 
 /// The relief of all movers in a frame: the logarithm of each pixel's depth relative to the depth of its

@@ -5,6 +5,7 @@
 //! larger near the image border.
 
 use super::contour::{Region, Side};
+use super::distance::Behind;
 use super::quantile;
 use crate::types::Intrinsics;
 use glam::{DVec2, DVec3};
@@ -37,8 +38,40 @@ pub(super) struct Outline {
     pub slenderness: f64,
 }
 
+/// The outlines of an object, frame by frame.
+pub(super) struct Outlines {
+    /// `None` in frames in which the outline is not completely visible.
+    pub frames: Vec<Option<Outline>>,
+    /// Standard deviation of the logarithm of their depths.
+    pub deviation: f64,
+}
+
+impl Outlines {
+    /// The outlines of the object `index`, from the owners of the pixels and the static world in each of its
+    /// frames.
+    pub fn new(
+        index: u16,
+        owners: &[Vec<Option<u16>>],
+        behind: &[Behind<'_>],
+        intrinsics: &Intrinsics,
+    ) -> Outlines {
+        let in_frame = |(owners, behind): (&Vec<Option<u16>>, &Behind<'_>)| {
+            let region = Region::new(index, owners, behind.inverse, intrinsics.width as usize);
+            outline(&region, intrinsics)
+        };
+        let frames: Vec<Option<Outline>> = owners.iter().zip(behind).map(in_frame).collect();
+        Outlines { deviation: deviation(&frames), frames }
+    }
+
+    /// Outlines that are never completely visible.
+    #[cfg(test)]
+    pub fn unknown(frames: usize) -> Outlines {
+        Outlines { frames: vec![None; frames], deviation: CHANGES }
+    }
+}
+
 /// The outline of an object's pixels in a frame; `None` if it is cut off, partly hidden or too small.
-pub(super) fn outline(region: &Region, intrinsics: &Intrinsics) -> Option<Outline> {
+fn outline(region: &Region, intrinsics: &Intrinsics) -> Option<Outline> {
     let cut = |p: &DVec2| {
         let size = DVec2::new(f64::from(intrinsics.width), f64::from(intrinsics.height));
         p.min(size - *p).min_element() < EDGE
@@ -79,7 +112,7 @@ pub(super) fn outline(region: &Region, intrinsics: &Intrinsics) -> Option<Outlin
 
 /// Standard deviation of the logarithm of the depths from outlines. The apparent size of an object that
 /// rotates or deforms varies, and its slenderness varies with it.
-pub(super) fn deviation(outlines: &[Option<Outline>]) -> f64 {
+fn deviation(outlines: &[Option<Outline>]) -> f64 {
     let slenderness: Vec<f64> = outlines.iter().flatten().map(|o| o.slenderness).collect();
     if slenderness.len() < JUDGED {
         return CHANGES;

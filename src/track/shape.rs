@@ -7,6 +7,7 @@
 //! the change of its distance.
 
 mod believed;
+mod centre;
 mod joined;
 mod structure;
 
@@ -14,14 +15,20 @@ use glam::{DVec2, DVec3};
 
 use super::cameras::Cameras;
 use super::objects::Object;
+use super::outline::Outlines;
 use super::quantile;
-use crate::types::Pose;
+use crate::types::{Intrinsics, Pose};
+use centre::centre;
 use joined::joined;
 use structure::pieces;
 
 /// Standard deviation of the change of an object's depth from frame to frame, as a logarithm, if it is
 /// derived from the object's size in the image.
 pub(super) const UPRIGHT_DRIFT: f64 = 0.06;
+
+/// Standard deviation of the offset between an object's centre of mass and its middle, as a multiple of its radius,
+/// along each axis: if the middle is that of its points, and if it is the centre that its outlines show.
+pub(super) const OFF_CENTRE: (f64, f64) = (0.3, 0.1);
 
 /// The state of an object in one frame.
 pub(super) struct Frame {
@@ -45,11 +52,38 @@ pub(super) struct Shape {
     pub middle: DVec3,
     /// Whether its structure from motion holds in nearly all frames.
     pub rigid: bool,
+    /// Standard deviation of the offset between its centre of mass and its middle, as a multiple of its radius,
+    /// along each axis.
+    pub off_centre: f64,
+}
+
+impl Shape {
+    /// Moves the middle, in frames in which the structure from motion holds, to another point of the object.
+    fn move_middle(&mut self, middle: DVec3, intrinsics: &Intrinsics) {
+        self.middle = middle;
+        for frame in &mut self.frames {
+            let Some(view_from_object) = frame.view_from_object else { continue };
+            let at = view_from_object.apply(middle);
+            let ratio = frame.depth / at.z;
+            (frame.depth, frame.middle) = (at.z, intrinsics.project(at));
+            frame.relative.iter_mut().flatten().for_each(|relative| *relative *= ratio);
+        }
+    }
 }
 
 /// Estimates an object's shape and path up to scale: from structure from motion in the frames where it holds,
-/// from its size in the others.
-pub(super) fn shape(object: &Object, cameras: &Cameras) -> Shape {
+/// from its size in the others. If its outlines show its centre, that is its middle.
+pub(super) fn shape(object: &Object, cameras: &Cameras, outlines: &Outlines) -> Shape {
+    let mut shape = structured(object, cameras);
+    if let Some(centre) = centre(&shape, outlines, &cameras.intrinsics) {
+        shape.move_middle(centre, &cameras.intrinsics);
+        shape.off_centre = OFF_CENTRE.1;
+    }
+    shape
+}
+
+/// The shape and the path of an object with the middle of its points.
+fn structured(object: &Object, cameras: &Cameras) -> Shape {
     let upright = upright(object);
     let sizes: Vec<f64> = upright.frames.iter().map(|frame| frame.depth.ln()).collect();
     let pieces = pieces(object, &sizes, cameras);
@@ -80,7 +114,7 @@ pub(super) fn shape(object: &Object, cameras: &Cameras) -> Shape {
     for piece in pieces {
         frames.iter_mut().skip(piece.run.start).zip(piece.frames).for_each(|(to, from)| *to = from);
     }
-    Shape { frames, drift: drifts, middle, rigid }
+    Shape { frames, drift: drifts, middle, rigid, off_centre: OFF_CENTRE.0 }
 }
 
 /// The model of a flat upright object: its distance follows from its size.
@@ -126,7 +160,7 @@ fn upright(object: &Object) -> Shape {
             view_from_object: None,
         })
         .collect();
-    Shape { frames, drift, middle: DVec3::ZERO, rigid: false }
+    Shape { frames, drift, middle: DVec3::ZERO, rigid: false, off_centre: OFF_CENTRE.0 }
 }
 
 #[cfg(test)]
@@ -135,7 +169,6 @@ mod tests {
 
     use super::*;
     use crate::observe::PointTrack;
-    use crate::types::Intrinsics;
 
     #[test]
     fn what_grows_comes_nearer() {
@@ -173,7 +206,7 @@ mod tests {
         let shape_of = |sways: bool| {
             let tracks = (0..105).map(|i| track(i, sways)).collect();
             let object = Object { tracks, first: 0, end: 12 };
-            shape(&object, &cameras)
+            shape(&object, &cameras, &Outlines::unknown(12))
         };
         // The largest distance of a point from the middle along the line of sight, relative to the depth.
         let range = |shape: &Shape| {
@@ -203,7 +236,7 @@ mod tests {
             PointTrack::followed(first, (0..12).map(at).collect(), vec![0.1; 12])
         };
         let tracks = (0..100).flat_map(|i| [track(i, 0), track(i, 12)]).collect();
-        let found = shape(&Object { tracks, first: 0, end: 24 }, &cameras);
+        let found = shape(&Object { tracks, first: 0, end: 24 }, &cameras, &Outlines::unknown(24));
         assert!(found.rigid && found.frames.iter().all(|f| f.view_from_object.is_some()));
         let view = |k: usize| found.frames[k].view_from_object.unwrap();
         for k in 0..23 {
