@@ -2,8 +2,8 @@
 //!
 //! The middle of an object's tracked points lies on the side that is seen. If the object has a centre of symmetry,
 //! as a ball and a box have, its outline's middle is where that centre is, from whichever side it is seen. So the
-//! centre is the point of the object that stays in the middle of the outlines. The more the object rotates, the
-//! better its position along the line of sight is known.
+//! centre is the point of the object that stays in the middle of the outlines. The more the object
+//! rotates with respect to the line of sight, the better its position along it is known.
 
 use glam::{DMat3, DVec2, DVec3};
 use nalgebra::{Matrix3, SymmetricEigen, Vector3};
@@ -110,14 +110,13 @@ mod tests {
     use super::super::Frame;
     use super::*;
 
-    /// A ball that rotates by `turn` per frame, with the middle of its points on the side that is seen first.
+    /// A ball straight ahead that rotates by `turn` per frame, with the middle of its points on the side that is seen first.
     fn seen(turn: f64, wrong: bool) -> (Shape, Outlines, Intrinsics) {
         let intrinsics = Intrinsics::centred(300.0, 320, 180);
         let (radius, truth) = (0.3, DVec3::new(0.02, -0.03, 0.25));
         let pose = |k: usize| {
             let rotation = DQuat::from_rotation_y(turn * k as f64) * DQuat::from_rotation_x(0.2);
-            let at = DVec3::new(0.05 * k as f64 - 0.3, 0.0, 2.5);
-            Pose::new(rotation, at - rotation * truth)
+            Pose::new(rotation, DVec3::new(0.0, 0.0, 2.5) - rotation * truth)
         };
         let frame = |k: usize| Frame {
             depth: pose(k).apply(DVec3::ZERO).z,
