@@ -5,6 +5,9 @@
 //! without the ambiguities of one that does, and it is preferred if it explains the tracks as well. Otherwise the
 //! object is modelled as a flat upright object facing the camera, and the change of its size in the image gives
 //! the change of its distance.
+//!
+//! The middle of an object is that of its tracked points. If it rotates and has a centre of symmetry, its outlines
+//! show the centre, which is then its middle.
 
 mod believed;
 mod centre;
@@ -17,7 +20,7 @@ use super::cameras::Cameras;
 use super::objects::Object;
 use super::outline::Outlines;
 use super::quantile;
-use crate::types::{Intrinsics, Pose};
+use crate::types::Pose;
 use centre::centre;
 use joined::joined;
 use structure::pieces;
@@ -57,33 +60,9 @@ pub(super) struct Shape {
     pub off_centre: f64,
 }
 
-impl Shape {
-    /// Moves the middle, in frames in which the structure from motion holds, to another point of the object.
-    fn move_middle(&mut self, middle: DVec3, intrinsics: &Intrinsics) {
-        self.middle = middle;
-        for frame in &mut self.frames {
-            let Some(view_from_object) = frame.view_from_object else { continue };
-            let at = view_from_object.apply(middle);
-            let ratio = frame.depth / at.z;
-            (frame.depth, frame.middle) = (at.z, intrinsics.project(at));
-            frame.relative.iter_mut().flatten().for_each(|relative| *relative *= ratio);
-        }
-    }
-}
-
 /// Estimates an object's shape and path up to scale: from structure from motion in the frames where it holds,
 /// from its size in the others. If its outlines show its centre, that is its middle.
 pub(super) fn shape(object: &Object, cameras: &Cameras, outlines: &Outlines) -> Shape {
-    let mut shape = structured(object, cameras);
-    if let Some(centre) = centre(&shape, outlines, &cameras.intrinsics) {
-        shape.move_middle(centre, &cameras.intrinsics);
-        shape.off_centre = OFF_CENTRE.1;
-    }
-    shape
-}
-
-/// The shape and the path of an object with the middle of its points.
-fn structured(object: &Object, cameras: &Cameras) -> Shape {
     let upright = upright(object);
     let sizes: Vec<f64> = upright.frames.iter().map(|frame| frame.depth.ln()).collect();
     let pieces = pieces(object, &sizes, cameras);
@@ -91,8 +70,13 @@ fn structured(object: &Object, cameras: &Cameras) -> Shape {
         return upright;
     };
     let Shape { mut frames, drift: mut drifts, .. } = upright;
-    let middle = pieces[longest].middle;
-    let pieces = joined(pieces, longest, &sizes, cameras, object.first);
+    let mut middle = pieces[longest].middle;
+    let mut pieces = joined(pieces, longest, &sizes, cameras, object.first);
+    let mut off_centre = OFF_CENTRE.0;
+    if let Some(centre) = centre(&pieces, outlines, &cameras.intrinsics) {
+        pieces.iter_mut().for_each(|piece| piece.move_middle(centre, &cameras.intrinsics));
+        (middle, off_centre) = (centre, OFF_CENTRE.1);
+    }
     for (i, piece) in pieces.iter().enumerate() {
         drifts[piece.run.start..piece.run.end - 1].fill(piece.drift);
         // Between this piece and the next, and before the first, the depth continues from the edge's depth by
@@ -114,7 +98,7 @@ fn structured(object: &Object, cameras: &Cameras) -> Shape {
     for piece in pieces {
         frames.iter_mut().skip(piece.run.start).zip(piece.frames).for_each(|(to, from)| *to = from);
     }
-    Shape { frames, drift: drifts, middle, rigid, off_centre: OFF_CENTRE.0 }
+    Shape { frames, drift: drifts, middle, rigid, off_centre }
 }
 
 /// The model of a flat upright object: its distance follows from its size.
@@ -169,6 +153,7 @@ mod tests {
 
     use super::*;
     use crate::observe::PointTrack;
+    use crate::types::Intrinsics;
 
     #[test]
     fn what_grows_comes_nearer() {

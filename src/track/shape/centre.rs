@@ -2,15 +2,15 @@
 //!
 //! The middle of an object's tracked points lies on the side that is seen. If the object has a centre of symmetry,
 //! as a ball and a box have, its outline's middle is where that centre is, from whichever side it is seen. So the
-//! centre is the point of the object that stays in the middle of the outlines. The more the object
-//! rotates with respect to the line of sight, the better its position along it is known.
+//! centre is the point of the object that stays in the middle of the outlines. The more the object rotates with
+//! respect to the line of sight, the better its position along it is known.
 
 use glam::{DMat3, DVec2, DVec3};
-use nalgebra::{Matrix3, SymmetricEigen, Vector3};
 
 use super::super::outline::Outlines;
 use super::super::quantile;
-use super::Shape;
+use super::joined::Piece;
+use crate::geometry::se3::matrix3;
 use crate::types::{Intrinsics, Pose};
 
 /// Minimum number of outlines.
@@ -36,11 +36,17 @@ struct Sight {
     middle: DVec2,
 }
 
-/// The centre in the object's own coordinate frame. `None` if its outlines are visible in too few frames, if no
-/// point stays in their middle, or if too small a rotation leaves it uncertain.
-pub(super) fn centre(shape: &Shape, outlines: &Outlines, intrinsics: &Intrinsics) -> Option<DVec3> {
-    let seen = shape.frames.iter().zip(&outlines.frames).filter_map(|(frame, outline)| {
-        let (view_from_object, outline) = frame.view_from_object.zip(*outline)?;
+/// The centre in the coordinate frame of an object's structures from motion, which they share. `None` if its
+/// outlines are visible in too few frames, if no point stays in their middle, or if too small a rotation leaves it
+/// uncertain.
+pub(super) fn centre(
+    pieces: &[Piece],
+    outlines: &Outlines,
+    intrinsics: &Intrinsics,
+) -> Option<DVec3> {
+    let frames = || pieces.iter().flat_map(|piece| piece.run.clone().zip(&piece.frames));
+    let seen = frames().filter_map(|(k, frame)| {
+        let (view_from_object, outline) = frame.view_from_object.zip(outlines.frames[k])?;
         // The outline's depth is in units of the square root of its area at unit distance.
         let radius = frame.depth / (outline.depth * std::f64::consts::PI.sqrt());
         Some((Sight { view_from_object, middle: outline.middle }, radius))
@@ -51,24 +57,28 @@ pub(super) fn centre(shape: &Shape, outlines: &Outlines, intrinsics: &Intrinsics
     }
     let radius = quantile(radii, 0.5);
     let prior = (OFFSET * radius).powi(-2);
-    let mut centre = shape.middle;
+    let middle = pieces[0].middle;
+    let mut centre = middle;
     for round in 0..ROUNDS.0 {
         let width = if round < ROUNDS.1 { WIDTH.0 } else { WIDTH.1 };
         let weight = |off: f64| (1.0 + (off / width).powi(2)).recip();
         let (information, right) = equations(&sights, centre, intrinsics, weight);
-        let information = information + Matrix3::identity() * prior;
-        let right = right + vector(shape.middle - centre) * prior;
-        let step = information.lu().solve(&right)?;
-        centre += DVec3::new(step.x, step.y, step.z);
+        let information = information + DMat3::from_diagonal(DVec3::splat(prior));
+        centre += information.inverse() * (right + (middle - centre) * prior);
+    }
+    if !centre.is_finite() {
+        return None;
     }
     let off = |sight: &Sight| {
         intrinsics.project(sight.view_from_object.apply(centre)).distance(sight.middle)
     };
     let usual = quantile(sights.iter().map(off).collect(), 0.5);
     let (information, _) = equations(&sights, centre, intrinsics, |_| 1.0);
-    let least = SymmetricEigen::new(information).eigenvalues.min();
+    let least = matrix3(&information).symmetric_eigenvalues().min();
     let deviation = usual.max(NOISE) / least.max(0.0).sqrt();
-    (centre.is_finite() && usual < STAYS && deviation < CERTAIN * radius).then_some(centre)
+    let is_before = |pose: Pose| pose.apply(centre).z > 0.0;
+    let is_seen = frames().filter_map(|(_, frame)| frame.view_from_object).all(is_before);
+    (is_seen && usual < STAYS && deviation < CERTAIN * radius).then_some(centre)
 }
 
 /// The normal equations of a step of the centre, from the distances between its image and the outlines' middles:
@@ -78,8 +88,8 @@ fn equations(
     centre: DVec3,
     intrinsics: &Intrinsics,
     weight: impl Fn(f64) -> f64,
-) -> (Matrix3<f64>, Vector3<f64>) {
-    let (mut information, mut right) = (Matrix3::zeros(), Vector3::zeros());
+) -> (DMat3, DVec3) {
+    let (mut information, mut right) = (DMat3::ZERO, DVec3::ZERO);
     for Sight { view_from_object, middle } in sights {
         let at = view_from_object.apply(centre);
         let off = *middle - intrinsics.project(at);
@@ -90,16 +100,17 @@ fn equations(
             (DVec3::new(0.0, 1.0, -at.y / at.z) * (intrinsics.fy / at.z), off.y),
         ];
         for (gradient, off) in across {
-            let gradient = vector(object_from_view * gradient);
-            information += gradient * gradient.transpose() * weight;
-            right += gradient * (weight * off);
+            let gradient = object_from_view * gradient;
+            let weighted = gradient * weight;
+            information += DMat3::from_cols(
+                weighted * gradient.x,
+                weighted * gradient.y,
+                weighted * gradient.z,
+            );
+            right += weighted * off;
         }
     }
     (information, right)
-}
-
-fn vector(v: DVec3) -> Vector3<f64> {
-    Vector3::new(v.x, v.y, v.z)
 }
 
 #[cfg(test)]
@@ -110,8 +121,9 @@ mod tests {
     use super::super::Frame;
     use super::*;
 
-    /// A ball straight ahead that rotates by `turn` per frame, with the middle of its points on the side that is seen first.
-    fn seen(turn: f64, wrong: bool) -> (Shape, Outlines, Intrinsics) {
+    /// A ball straight ahead that rotates by `turn` per frame, with the middle of its points on the side that is
+    /// seen first. Some outlines are wrong if `wrong`.
+    fn seen(turn: f64, wrong: bool) -> (Piece, Outlines, Intrinsics) {
         let intrinsics = Intrinsics::centred(300.0, 320, 180);
         let (radius, truth) = (0.3, DVec3::new(0.02, -0.03, 0.25));
         let pose = |k: usize| {
@@ -132,38 +144,38 @@ mod tests {
             let middle = intrinsics.project(at) + tremble + astray;
             Some(Outline { middle, depth, slenderness: 0.0 })
         };
-        let shape = Shape {
-            frames: (0..12).map(frame).collect(),
-            drift: vec![0.01; 11],
+        let piece = Piece {
+            run: 0..12,
             middle: DVec3::ZERO,
-            rigid: true,
-            off_centre: 0.3,
+            points: Vec::new(),
+            frames: (0..12).map(frame).collect(),
+            drift: 0.01,
         };
         let outlines = Outlines { frames: (0..12).map(outline).collect(), deviation: 0.015 };
-        (shape, outlines, intrinsics)
+        (piece, outlines, intrinsics)
     }
 
     #[test]
     fn the_centre_stays_in_the_middle_of_the_outlines() {
         let truth = DVec3::new(0.02, -0.03, 0.25);
         for wrong in [false, true] {
-            let (shape, outlines, intrinsics) = seen(0.1, wrong);
-            let found = centre(&shape, &outlines, &intrinsics).unwrap();
+            let (piece, outlines, intrinsics) = seen(0.1, wrong);
+            let found = centre(&[piece], &outlines, &intrinsics).unwrap();
             assert!(found.distance(truth) < 0.02, "{found}");
         }
     }
 
     #[test]
     fn without_rotation_or_without_symmetry_there_is_none() {
-        let (shape, outlines, intrinsics) = seen(0.0, false);
-        assert!(centre(&shape, &outlines, &intrinsics).is_none());
-        let (shape, mut outlines, intrinsics) = seen(0.1, false);
+        let (piece, outlines, intrinsics) = seen(0.0, false);
+        assert!(centre(&[piece], &outlines, &intrinsics).is_none());
+        let (piece, mut outlines, intrinsics) = seen(0.1, false);
         for (k, outline) in outlines.frames.iter_mut().flatten().enumerate() {
             outline.middle += DVec2::from_angle(2.4 * k as f64) * 8.0;
         }
-        assert!(centre(&shape, &outlines, &intrinsics).is_none());
-        let (shape, mut outlines, intrinsics) = seen(0.1, false);
+        assert!(centre(&[piece], &outlines, &intrinsics).is_none());
+        let (piece, mut outlines, intrinsics) = seen(0.1, false);
         outlines.frames[5..].fill(None);
-        assert!(centre(&shape, &outlines, &intrinsics).is_none());
+        assert!(centre(&[piece], &outlines, &intrinsics).is_none());
     }
 }

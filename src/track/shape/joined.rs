@@ -9,7 +9,7 @@ use super::super::quantile;
 use super::Frame;
 use crate::geometry::se3::{exp_so3, log_so3};
 use crate::geometry::sim3::{Sim3, align_points};
-use crate::types::Pose;
+use crate::types::{Intrinsics, Pose};
 
 /// Number of frames whose rotation is extrapolated from one structure to the next.
 const TURN: usize = 3;
@@ -99,6 +99,18 @@ impl Piece {
         let rotation = turned.conjugate() * in_world(others, other_view);
         let scale = own_depth * (sizes[others] - sizes[own]).exp() / other_depth;
         Sim3 { scale, rotation, translation: middle - scale * (rotation * other.middle) }
+    }
+
+    /// Moves the middle to another point of the object.
+    pub fn move_middle(&mut self, middle: DVec3, intrinsics: &Intrinsics) {
+        self.middle = middle;
+        for frame in &mut self.frames {
+            let Some(view_from_object) = frame.view_from_object else { continue };
+            let at = view_from_object.apply(middle);
+            let ratio = frame.depth / at.z;
+            (frame.depth, frame.middle) = (at.z, intrinsics.project(at));
+            frame.relative.iter_mut().flatten().for_each(|relative| *relative *= ratio);
+        }
     }
 
     /// Transforms the piece to another coordinate frame and unit, in which the object's middle is `middle`.
