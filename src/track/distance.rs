@@ -4,9 +4,10 @@
 //!   ([`super::outline`]).
 //! - Contact: an object that touches static ground in most frames is as far away as the ground there
 //!   ([`super::contact`]).
-//! - Smoothness: an object moves smoothly by itself and a hand-held camera does not. If the ground gives the
-//!   vertical direction, a flying object falls under gravity ([`super::smooth`]), which is the same for all
-//!   that fly. A smooth path also gives the depth in frames that show the object only in part.
+//! - Flight: the path of an object that flies is a parabola, with the same acceleration for all
+//!   ([`super::ballistic`]).
+//! - Smoothness: what does not fly moves smoothly by itself, and a hand-held camera does not ([`super::smooth`]).
+//!   A smooth path also gives the depth in frames that show the object only in part.
 //! - Occlusion: an object is nearer than what it hides. If the image border cuts off its lower end, it is a
 //!   little nearer than the ground at that border.
 //!
@@ -19,6 +20,7 @@
 
 use glam::{DMat3, DVec2, DVec3};
 
+use super::ballistic::{self, Flight, Middle};
 use super::cameras::Cameras;
 use super::contact::{contacts, touched};
 use super::lower_end::{LowerEnd, lower_end};
@@ -29,6 +31,7 @@ use super::path::{Estimate, Pull, bent};
 use super::quantile;
 use super::shape::Shape;
 use super::smooth::{self, Place};
+use crate::types::Intrinsics;
 
 /// Initial width of the robust kernel of the outline residuals, as a logarithm of depth.
 const SIZED_FIRST: f64 = 1.6;
@@ -44,10 +47,6 @@ const GAP: usize = 2;
 /// Relative standard deviation of a path's unit above which it is not used: its logarithm is no longer
 /// normally distributed, and it gives little information.
 const LINEAR: f64 = 0.3;
-/// Minimum downward acceleration of an object that falls, in standard deviations.
-const FALLS: f64 = 3.0;
-/// Maximum ratio of two objects' downward accelerations, from their own paths, that can both be gravity.
-const SAME_FALL: f64 = 2.5;
 /// Standard deviation of the logarithm of a scale below which the scale counts as known.
 const DECIDED: f64 = 0.2;
 /// How much nearer an object without contact is than what it hides: mean and standard deviation of the
@@ -83,8 +82,6 @@ pub(super) struct Distance {
     path: Vec<f64>,
     /// That constant.
     scale: Scale,
-    /// The downward acceleration, world units per squared frame, if the object flies and its path shows it.
-    fall: Option<Estimate>,
 }
 
 /// The source of the scale of a path.
@@ -116,12 +113,7 @@ impl Distance {
         let steps = steps(shape);
         let pull = Pull { first_width: SIZED_FIRST / SUPPLIED.0, power: 1 };
         let path = bent(&path, &path, &targets, pull, &steps);
-        Some(Distance { path, scale: Scale::Known(Estimate { value: 0.0, deviation }), fall: None })
-    }
-
-    /// The downward acceleration, world units per squared frame, if the object flies and its own path shows it.
-    pub fn fall(&self) -> Option<Estimate> {
-        self.fall
+        Some(Distance { path, scale: Scale::Known(Estimate { value: 0.0, deviation }) })
     }
 
     /// Whether the distance is known well enough for the confidence [`KNOWN`].
@@ -166,96 +158,133 @@ impl Distance {
     }
 }
 
-/// Gravity for each object that flies, from the object whose own path determines it better than all others;
-/// `None` for that object, and for those whose path shows no fall or a clearly different one. `falls` are the
-/// downward accelerations of the objects' own paths. All in world units per squared frame.
-pub(super) fn shared_gravity(falls: &[Option<Estimate>]) -> Vec<Option<Estimate>> {
-    let falls_down = |fall: &Estimate| fall.value > FALLS * fall.deviation;
-    let of = |fall: &Option<Estimate>| fall.filter(falls_down);
-    let known = falls.iter().enumerate().filter_map(|(i, fall)| Some((i, of(fall)?)));
-    let best = known.min_by(|a, b| a.1.relative().total_cmp(&b.1.relative()));
-    let gravity = |(i, fall): (usize, &Option<Estimate>)| {
-        let (_, gravity) = best.filter(|(best, _)| *best != i)?;
-        let ratio = of(fall)?.value / gravity.value;
-        ((1.0 / SAME_FALL)..SAME_FALL).contains(&ratio).then_some(gravity)
-    };
-    falls.iter().enumerate().map(gravity).collect()
+/// What is observed of an object, without its distance.
+pub(super) struct Observed {
+    /// The object's first frame.
+    first: usize,
+    /// Its state frame by frame.
+    seen: Vec<Seen>,
+    /// Standard deviation of each step of its path, logarithm.
+    steps: Vec<f64>,
+    lower_ends: Vec<Option<LowerEnd>>,
+    /// The logarithm of its depth that follows from contact with the ground, frame by frame.
+    contacts: Vec<Option<Estimate>>,
+    /// The logarithm of the depth of what it hides, frame by frame.
+    hidden: Vec<Option<f64>>,
 }
 
-/// Estimates the distance of an object without regard to connected objects. `owners` and `behind` hold one
-/// entry per frame of the clip. `gravity` is the downward acceleration of what flies, if another object
-/// showed it.
-pub(super) fn distance(
-    index: usize,
-    object: &Object,
-    shape: &Shape,
-    cameras: &Cameras,
-    owners: &[Vec<Option<u16>>],
-    behind: &[Behind<'_>],
-    gravity: Option<Estimate>,
-) -> Distance {
-    let frames = object.first..object.first + shape.frames.len();
-    let (owners, behind) = (&owners[frames.clone()], &behind[frames]);
-    let width = cameras.intrinsics.width as usize;
-    let Outlines { frames: outlines, deviation: outline_deviation } =
-        Outlines::new(index as u16, owners, behind, &cameras.intrinsics);
-    let steps = steps(shape);
-    let observed = {
-        let path: Vec<f64> = shape.frames.iter().map(|f| f.depth.ln()).collect();
-        let sizes: Vec<Option<f64>> = outlines.iter().map(|o| Some((*o)?.depth.ln())).collect();
-        sized(path, &sizes, outline_deviation, &steps)
-    };
-    let middles = middles(shape, &outlines);
-    let radius = {
-        let radius = |(owners, depth): (&Vec<Option<u16>>, &f64)| {
-            let pixels = owners.iter().filter(|owner| **owner == Some(index as u16)).count();
-            (pixels as f64 / std::f64::consts::PI).sqrt() * depth.exp()
+impl Observed {
+    /// Observes an object. `owners` and `behind` hold one entry per frame of the clip.
+    pub fn new(
+        index: usize,
+        object: &Object,
+        shape: &Shape,
+        intrinsics: &Intrinsics,
+        owners: &[Vec<Option<u16>>],
+        behind: &[Behind<'_>],
+    ) -> Observed {
+        let frames = object.first..object.first + shape.frames.len();
+        let (owners, behind) = (&owners[frames.clone()], &behind[frames]);
+        let width = intrinsics.width as usize;
+        let Outlines { frames: outlines, deviation: outline_deviation, .. } =
+            Outlines::new(index as u16, owners, behind, intrinsics);
+        let steps = steps(shape);
+        let depths = {
+            let path: Vec<f64> = shape.frames.iter().map(|f| f.depth.ln()).collect();
+            let sizes: Vec<Option<f64>> = outlines.iter().map(|o| Some((*o)?.depth.ln())).collect();
+            sized(path, &sizes, outline_deviation, &steps)
         };
-        quantile(owners.iter().zip(&observed).map(radius).collect(), 0.5) / cameras.intrinsics.fx
-    };
-    let seen = |k: usize| {
-        let pose = shape.frames[k].view_from_object;
-        let turned = pose.map_or(DMat3::ZERO, |pose| DMat3::from_quat(pose.rotation));
-        let known = match (pose, outlines[k]) {
-            (Some(_), _) if shape.rigid => Some(ALONG.0),
-            (_, Some(_)) => Some(outline_deviation),
-            (Some(_), None) => Some(ALONG.1),
-            (None, None) => None,
+        let middles = middles(shape, &outlines);
+        let radius = {
+            let radius = |(owners, depth): (&Vec<Option<u16>>, &f64)| {
+                let pixels = owners.iter().filter(|owner| **owner == Some(index as u16)).count();
+                (pixels as f64 / std::f64::consts::PI).sqrt() * depth.exp()
+            };
+            quantile(owners.iter().zip(&depths).map(radius).collect(), 0.5) / intrinsics.fx
         };
-        let off_centre = turned * (radius * shape.off_centre);
-        Seen { depth: observed[k], middle: middles[k], known, radius, off_centre }
-    };
-    let seen: Vec<Seen> = (0..observed.len()).map(seen).collect();
-    let lower_ends: Vec<Option<LowerEnd>> = owners
-        .iter()
-        .zip(behind)
-        .map(|(owners, behind)| lower_end(index, owners, *behind, width))
-        .collect();
-    let contacts = contacts(object, shape, &lower_ends, &middles);
-    let touching = touched(&observed, &contacts, &lower_ends, &steps).map(|(_, touching)| touching);
-    let smoothed = smoothness(&seen, cameras, object.first, touching, gravity);
-    let (smooth, fall) = smoothed.as_ref().map_or((None, None), |s| (Some(s.scale), s.fall));
-    let path: Vec<f64> = match smoothed.map(|smoothed| smoothed.farther) {
-        Some(farther) => observed.iter().zip(farther).map(|(path, by)| path + by).collect(),
-        None => observed.clone(),
-    };
-    if let Some((bent, touching)) = touched(&path, &contacts, &lower_ends, &steps) {
-        let both = smooth.map_or(touching, |smooth| touching.and(smooth));
-        let scale = Estimate { value: both.value - touching.value, ..both };
-        return Distance { path: bent, scale: Scale::Known(scale), fall: None };
+        let lower_ends: Vec<Option<LowerEnd>> = owners
+            .iter()
+            .zip(behind)
+            .map(|(owners, behind)| lower_end(index, owners, *behind, width))
+            .collect();
+        let contacts = contacts(object, shape, &lower_ends, &middles);
+        let seen = |k: usize| {
+            let pose = shape.frames[k].view_from_object;
+            let turned = pose.map_or(DMat3::ZERO, |pose| DMat3::from_quat(pose.rotation));
+            let known = match (pose, outlines[k]) {
+                (Some(_), _) if shape.rigid => Some(ALONG.0),
+                (_, Some(_)) => Some(outline_deviation),
+                (Some(_), None) => Some(ALONG.1),
+                (None, None) => None,
+            };
+            let off_centre = turned * (radius * shape.off_centre);
+            Seen { depth: depths[k], middle: middles[k], known, radius, off_centre }
+        };
+        let seen: Vec<Seen> = (0..depths.len()).map(seen).collect();
+        let hidden =
+            |(owners, behind): (&Vec<Option<u16>>, &Behind<'_>)| hidden(index, owners, *behind);
+        let hidden = owners.iter().zip(behind).map(hidden).collect();
+        Observed { first: object.first, seen, steps, lower_ends, contacts, hidden }
     }
-    let hidden: Vec<Option<f64>> =
-        owners.iter().zip(behind).map(|(owners, behind)| hidden(index, owners, *behind)).collect();
-    let bounded = bounded(&path, &hidden, &lower_ends);
-    let is_behind = |smooth: Estimate| smooth.value - smooth.deviation >= bounded.usual + BEFORE.1;
-    if smooth.is_some_and(is_behind) {
-        // A scale that puts the path far behind what the object hides is wrong, and so are the corrections of
-        // the path that come with it.
-        let before = self::bounded(&observed, &hidden, &lower_ends).before;
-        let scale = Scale::Bounded { before, smooth: None };
-        return Distance { path: observed, scale, fall: None };
+
+    /// The path, with the middles in the frames in which they are known.
+    pub fn path(&self) -> ballistic::Path {
+        let known = (0..self.seen.len()).filter(|k| self.seen[*k].known.is_some());
+        let mut before = None;
+        let middles = known
+            .map(|k| {
+                let Seen { depth, middle, .. } = self.seen[k];
+                let since = before.replace(k).unwrap_or(k);
+                let drift = self.steps[since..k].iter().map(|step| step * step).sum::<f64>().sqrt();
+                Middle { frame: self.first + k, pixel: middle, depth, drift }
+            })
+            .collect();
+        ballistic::Path { frames: self.first..self.first + self.seen.len(), middles }
     }
-    Distance { path, scale: Scale::Bounded { before: bounded.before, smooth }, fall }
+
+    /// Estimates the distance without regard to connected objects. `flight` is the object's, if it flies.
+    pub fn distance(&self, cameras: &Cameras, flight: Option<&Flight>) -> Distance {
+        let depths = || self.seen.iter().map(|seen| seen.depth);
+        let observed: Vec<f64> = depths().collect();
+        let touching = touched(&observed, &self.contacts, &self.lower_ends, &self.steps)
+            .map(|(_, touching)| touching);
+        let agrees = |smooth: &Smoothness| touching.is_none_or(|t| smooth.scale.agrees_with(t));
+        let flown = flight.map(|flight| self.flown(flight)).filter(agrees);
+        let smoothed = flown.or_else(|| smoothness(&self.seen, cameras, self.first, touching));
+        let smooth = smoothed.as_ref().map(|s| s.scale);
+        let path: Vec<f64> = match smoothed.map(|smoothed| smoothed.farther) {
+            Some(farther) => observed.iter().zip(farther).map(|(path, by)| path + by).collect(),
+            None => observed.clone(),
+        };
+        if let Some((bent, touching)) =
+            touched(&path, &self.contacts, &self.lower_ends, &self.steps)
+        {
+            let both = smooth.map_or(touching, |smooth| touching.and(smooth));
+            let scale = Estimate { value: both.value - touching.value, ..both };
+            return Distance { path: bent, scale: Scale::Known(scale) };
+        }
+        let bounded = bounded(&path, &self.hidden, &self.lower_ends);
+        let is_behind =
+            |smooth: Estimate| smooth.value - smooth.deviation >= bounded.usual + BEFORE.1;
+        if smooth.is_some_and(is_behind) {
+            // A scale that puts the path far behind what the object hides is wrong, and so are the corrections
+            // of the path that come with it.
+            let before = self::bounded(&observed, &self.hidden, &self.lower_ends).before;
+            return Distance { path: observed, scale: Scale::Bounded { before, smooth: None } };
+        }
+        Distance { path, scale: Scale::Bounded { before: bounded.before, smooth } }
+    }
+
+    /// What a flight tells of the path. Before and after it the path goes on as observed.
+    fn flown(&self, flight: &Flight) -> Smoothness {
+        let off = |frame: usize| {
+            let k = frame.clamp(flight.frames.start, flight.frames.end - 1) - flight.frames.start;
+            flight.depths[k].ln() - self.seen[flight.frames.start + k - self.first].depth
+        };
+        let value = quantile(flight.frames.clone().map(off).collect(), 0.5);
+        let farther = (0..self.seen.len()).map(|k| off(self.first + k) - value).collect();
+        Smoothness { scale: Estimate { value, deviation: flight.deviation }, farther }
+    }
 }
 
 /// The logarithm of the depth of what an object hides in a frame, at its near side. `None` if the object is
@@ -345,19 +374,15 @@ struct Smoothness {
     /// The change of the logarithm of depth along it, frame by frame, at the scale that follows from the path
     /// and from contact, if it is known from there.
     farther: Vec<f64>,
-    /// The downward acceleration, if the object flies and gravity was not known.
-    fall: Option<Estimate>,
 }
 
 /// The scale and the changes of a path that make it smoothest; `None` if the path does not determine the
-/// scale, or if contact contradicts it. `first` is the object's first frame, `touching` the scale from contact;
-/// `gravity` as in [`distance`].
+/// scale, or if contact contradicts it. `first` is the object's first frame, `touching` the scale from contact.
 fn smoothness(
     path: &[Seen],
     cameras: &Cameras,
     first: usize,
     touching: Option<Estimate>,
-    gravity: Option<Estimate>,
 ) -> Option<Smoothness> {
     let touching_inverse = touching.map(|Estimate { value, deviation }| {
         let inverse = (-value).exp();
@@ -395,16 +420,12 @@ fn smoothness(
         (0..places.len()).filter(|k| unknown[*k] <= GAP || goes_on(*k)).collect();
     let (mut sum, mut information) = (0.0, 0.0);
     let mut farther = vec![0.0; places.len()];
-    let (mut falls, mut falling) = (Vec::new(), false);
     for run in frames.chunk_by(|a, b| a + 1 == *b) {
         let run = run[0]..run[0] + run.len();
         let places = &places[run.clone()];
-        let down = gravity.map(|gravity| gravity.value);
-        let Some(found) = smooth::smoothest(places, cameras.up(), touching_inverse, down) else {
+        let Some(found) = smooth::smoothest(places, cameras.up(), touching_inverse) else {
             continue;
         };
-        falls.extend(found.fall);
-        falling |= found.farther.is_some();
         let weight = found.unit.deviation.powi(-2);
         (sum, information) = (sum + weight * found.unit.inverse, information + weight);
         if let Some(by) = found.farther {
@@ -412,15 +433,10 @@ fn smoothness(
         }
     }
     let (inverse, deviation) = (sum / information, information.powf(-0.5));
-    // A wrong gravity puts the object at a distance that is wrong by the same factor. Where another model than
-    // the fall explains the path better, gravity has no part in the distance.
-    let of_gravity = gravity.filter(|_| falling).map_or(0.0, |gravity| gravity.relative());
-    let deviation = (deviation / inverse).hypot(of_gravity);
-    let scale = Estimate { value: -inverse.ln(), deviation };
-    let fall = falls.into_iter().min_by(|a, b| a.relative().total_cmp(&b.relative()));
-    let holds = inverse > 0.0 && deviation < LINEAR;
+    let scale = Estimate { value: -inverse.ln(), deviation: deviation / inverse };
+    let holds = inverse > 0.0 && scale.deviation < LINEAR;
     let agrees = touching.is_none_or(|touching| scale.agrees_with(touching));
-    (holds && agrees).then_some(Smoothness { scale, farther, fall })
+    (holds && agrees).then_some(Smoothness { scale, farther })
 }
 
 /// For each frame in which the middle is unknown, the length in frames of the gap that contains it; 0
@@ -454,24 +470,8 @@ fn sized(path: Vec<f64>, sizes: &[Option<f64>], deviation: f64, steps: &[f64]) -
 mod tests {
     use super::super::stereo::Ground;
     use super::*;
-    use crate::types::{Intrinsics, Pose};
+    use crate::types::Pose;
     use glam::DQuat;
-
-    #[test]
-    fn what_flies_shares_the_gravity_that_is_known_best() {
-        let fall = |value: f64, deviation: f64| Some(Estimate { value, deviation });
-        let shared = |falls: &[Option<Estimate>]| -> Vec<Option<f64>> {
-            shared_gravity(falls).into_iter().map(|g| g.map(|g| g.value)).collect()
-        };
-        let ball = fall(0.0021, 0.00015);
-        // A box whose own path tells less; a balloon that does not fall; a stone that falls in another way; a
-        // person who stands.
-        let others = [fall(0.0048, 0.0009), fall(0.001, 0.0005), fall(0.01, 0.001), None];
-        assert_eq!(shared(&[others[0], ball]), [Some(0.0021), None]);
-        assert_eq!(shared(&[ball, others[1], others[2], others[3]]), [None; 4]);
-        assert_eq!(shared(&[fall(-0.002, 0.0001), ball, others[1]]), [None; 3]);
-        assert!(shared(&[]).is_empty());
-    }
 
     #[test]
     fn gaps_are_as_long_as_the_frames_that_are_not_known() {
@@ -509,8 +509,7 @@ mod tests {
             })
             .collect();
         let error = |cameras: &Cameras| -> f64 {
-            let Smoothness { scale, farther, .. } =
-                smoothness(&seen, cameras, 0, None, None).unwrap();
+            let Smoothness { scale, farther, .. } = smoothness(&seen, cameras, 0, None).unwrap();
             let found = |t: usize| seen[t].depth + farther[t] + scale.value;
             (24..28).map(|t| (found(t) - depth(t).ln()).abs()).fold(0.0, f64::max)
         };
@@ -521,7 +520,7 @@ mod tests {
         // It does not count against a contact that it contradicts.
         let beside = |contact: f64| {
             let contact = Estimate { value: contact - unit.ln(), deviation: 0.03 };
-            smoothness(&seen, &cameras, 0, Some(contact), None)
+            smoothness(&seen, &cameras, 0, Some(contact))
         };
         assert!(beside(0.0).is_some() && beside(0.3).is_none());
     }
@@ -559,7 +558,7 @@ mod tests {
             let smooth = smooth.map(|value| Estimate { value, deviation: 0.01 });
             let before = Estimate { value, deviation: 0.3 };
             let path = vec![0.1, 0.2, 0.3];
-            Distance { path, scale: Scale::Bounded { before, smooth }, fall: None }
+            Distance { path, scale: Scale::Bounded { before, smooth } }
         };
         let known = bounded(1.0, Some(1.5));
         assert!(known.is_known() && !bounded(1.0, None).is_known());

@@ -20,13 +20,15 @@
 //! | `shape` | each object's shape and path up to scale |
 //! | `movers` | depth of movers' pixels, from shapes and distances |
 //! | `estimated` | depth that a network has estimated, scaled frame by frame to the world's unit |
-//! | `distance` | the distance of an object, from ground contact, its size and a smooth path |
+//! | `distance` | the distance of an object, from ground contact, its size, its flight or a smooth path |
+//! | `ballistic` | the distance of objects that fly, from their parabolas |
 //! | `contact` | the distance of an object that touches the ground |
 //! | `path` | an object's path, bent towards estimates of its depth |
 //! | `lower_end` | what an object stands on or passes in front of |
 //! | `unfollowed` | parts of movers on which no point could be tracked |
 //! | `contour` | an object's pixels in a frame, and what its contour borders on |
 //! | `outline` | an object's position and size, from its outline |
+//! | `disc` | the position of a ball, from its contour |
 //! | `shade` | the shadows of movers, and the control points that carry them |
 //! | [`scaffold`] | control points on movers, each tracked through the whole clip |
 //! | `smooth` | the scale of a path, from the assumption that objects move smoothly |
@@ -43,11 +45,13 @@
 //! fill most of the image, the static world is first chosen from several rigid motions
 //! ([`Quality::motions`]).
 
+mod ballistic;
 mod cameras;
 mod carried;
 mod contact;
 mod contour;
 mod depth;
+mod disc;
 mod distance;
 mod estimated;
 mod landmarks;

@@ -5,14 +5,14 @@
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
+use super::ballistic;
 use super::cameras::Cameras;
 use super::contour::Region;
 use super::depth::Layer;
-use super::distance::{Behind, Distance, distance, shared_gravity};
+use super::distance::{Behind, Distance, Observed};
 use super::masks::regions;
 use super::objects::{self, Object};
 use super::outline::Outlines;
-use super::path::Estimate;
 use super::relief::relief;
 use super::shape::{Frame, OFF_CENTRE, Shape, UPRIGHT_DRIFT, shape};
 use super::{Mover, estimated, quantile, unfollowed};
@@ -71,9 +71,10 @@ pub(super) fn lift(
     let mut owners: Vec<Vec<Option<u16>>> =
         (0..masks.len()).into_par_iter().map(|f| owners(&objects, &masks[f], f)).collect();
     let shaped = |(i, object): (usize, &Object)| {
-        let frames = object.first..object.end;
-        let (owners, behind) = (&owners[frames.clone()], &behind[frames]);
-        shape(object, cameras, &Outlines::new(i as u16, owners, behind, &cameras.intrinsics))
+        let range = object.first..object.end;
+        let (owners, behind) = (&owners[range.clone()], &behind[range.clone()]);
+        let outlines = Outlines::new(i as u16, owners, behind, &cameras.intrinsics);
+        shape(object, &frames[range], cameras, &outlines)
     };
     let mut shapes: Vec<Shape> = objects.iter().enumerate().map(shaped).collect();
     let points: Vec<Vec<DVec2>> =
@@ -86,23 +87,25 @@ pub(super) fn lift(
             owners.iter_mut().zip(part).filter(|(_, part)| **part).for_each(|(o, _)| *o = own);
         }
     }
-    let mut known: Vec<Distance> = objects
+    let observed: Vec<Observed> = objects
         .par_iter()
         .zip(&shapes)
         .enumerate()
         .map(|(i, (object, shape))| {
-            let supplied = supplied(i as u16, object, shape, &owners, layers, flow.width);
-            Distance::supplied(shape, &supplied)
-                .unwrap_or_else(|| distance(i, object, shape, cameras, &owners, behind, None))
+            Observed::new(i, object, shape, &cameras.intrinsics, &owners, behind)
         })
         .collect();
-    // What flies falls alike.
-    let falls: Vec<Option<Estimate>> = known.iter().map(Distance::fall).collect();
-    for (i, gravity) in shared_gravity(&falls).into_iter().enumerate() {
-        if gravity.is_some() {
-            known[i] = distance(i, &objects[i], &shapes[i], cameras, &owners, behind, gravity);
-        }
-    }
+    let paths: Vec<ballistic::Path> = observed.iter().map(Observed::path).collect();
+    let flights = ballistic::flights(&paths, cameras);
+    let mut known: Vec<Distance> = (0..objects.len())
+        .into_par_iter()
+        .map(|i| {
+            let (object, shape) = (&objects[i], &shapes[i]);
+            let supplied = supplied(i as u16, object, shape, &owners, layers, flow.width);
+            Distance::supplied(shape, &supplied)
+                .unwrap_or_else(|| observed[i].distance(cameras, flights[i].as_ref()))
+        })
+        .collect();
     join_connected(&objects, masks, &owners, &mut known);
     let mut scaled: Vec<(Vec<f64>, f32)> = known.iter().map(Distance::depths).collect();
     let reliefs: Vec<Vec<f64>> = (0..masks.len())

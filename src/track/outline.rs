@@ -5,6 +5,7 @@
 //! larger near the image border.
 
 use super::contour::{Region, Side};
+use super::disc::{Disc, disc};
 use super::distance::Behind;
 use super::quantile;
 use crate::types::Intrinsics;
@@ -44,6 +45,8 @@ pub(super) struct Outlines {
     pub frames: Vec<Option<Outline>>,
     /// Standard deviation of the logarithm of their depths.
     pub deviation: f64,
+    /// What is seen of the object if it is a ball; `None` in frames that show too little of its contour.
+    pub discs: Vec<Option<Disc>>,
 }
 
 impl Outlines {
@@ -57,16 +60,17 @@ impl Outlines {
     ) -> Outlines {
         let in_frame = |(owners, behind): (&Vec<Option<u16>>, &Behind<'_>)| {
             let region = Region::new(index, owners, behind.inverse, intrinsics.width as usize);
-            outline(&region, intrinsics)
+            (outline(&region, intrinsics), disc(&region, intrinsics))
         };
-        let frames: Vec<Option<Outline>> = owners.iter().zip(behind).map(in_frame).collect();
-        Outlines { deviation: deviation(&frames), frames }
+        let (frames, discs): (Vec<Option<Outline>>, _) =
+            owners.iter().zip(behind).map(in_frame).unzip();
+        Outlines { deviation: deviation(&frames), frames, discs }
     }
 
     /// Outlines that are never completely visible.
     #[cfg(test)]
     pub fn unknown(frames: usize) -> Outlines {
-        Outlines { frames: vec![None; frames], deviation: CHANGES }
+        Outlines { frames: vec![None; frames], deviation: CHANGES, discs: vec![None; frames] }
     }
 }
 

@@ -4,11 +4,13 @@
 //! motion solves for both. An object that does not rotate, such as a car on a straight road, has a solution
 //! without the ambiguities of one that does, and it is preferred if it explains the tracks as well. Otherwise the
 //! object is modelled as a flat upright object facing the camera, and the change of its size in the image gives
-//! the change of its distance.
+//! the change of its distance. An object whose contour is always a circle is a ball: then its shape is known before
+//! its motion.
 //!
 //! The middle of an object is that of its tracked points. If it rotates and has a centre of symmetry, its outlines
 //! show the centre, which is then its middle.
 
+mod ball;
 mod believed;
 mod centre;
 mod joined;
@@ -20,7 +22,8 @@ use super::cameras::Cameras;
 use super::objects::Object;
 use super::outline::Outlines;
 use super::quantile;
-use crate::types::Pose;
+use crate::types::{Image, Pose};
+use ball::ball;
 use centre::centre;
 use joined::joined;
 use structure::pieces;
@@ -30,7 +33,8 @@ use structure::pieces;
 pub(super) const UPRIGHT_DRIFT: f64 = 0.06;
 
 /// Standard deviation of the offset between an object's centre of mass and its middle, as a multiple of its radius,
-/// along each axis: if the middle is that of its points, and if it is the centre that its outlines show.
+/// along each axis: if the middle is that of its points, and if it is the centre that its outlines show, as a
+/// ball's.
 pub(super) const OFF_CENTRE: (f64, f64) = (0.3, 0.1);
 
 /// The state of an object in one frame.
@@ -62,10 +66,18 @@ pub(super) struct Shape {
 
 /// Estimates an object's shape and path up to scale: from structure from motion in the frames where it holds,
 /// from its size in the others. If its outlines show its centre, that is its middle.
-pub(super) fn shape(object: &Object, cameras: &Cameras, outlines: &Outlines) -> Shape {
+pub(super) fn shape(
+    object: &Object,
+    images: &[Image],
+    cameras: &Cameras,
+    outlines: &Outlines,
+) -> Shape {
     let upright = upright(object);
     let sizes: Vec<f64> = upright.frames.iter().map(|frame| frame.depth.ln()).collect();
-    let pieces = pieces(object, &sizes, cameras);
+    let (pieces, is_ball) = match ball(object, images, outlines, cameras) {
+        Some(ball) => (vec![ball], true),
+        None => (pieces(object, &sizes, cameras), false),
+    };
     let Some(longest) = (0..pieces.len()).max_by_key(|i| pieces[*i].run.len()) else {
         return upright;
     };
@@ -73,7 +85,9 @@ pub(super) fn shape(object: &Object, cameras: &Cameras, outlines: &Outlines) -> 
     let mut middle = pieces[longest].middle;
     let mut pieces = joined(pieces, longest, &sizes, cameras, object.first);
     let mut off_centre = OFF_CENTRE.0;
-    if let Some(centre) = centre(&pieces, outlines, &cameras.intrinsics) {
+    if is_ball {
+        off_centre = OFF_CENTRE.1;
+    } else if let Some(centre) = centre(&pieces, outlines, &cameras.intrinsics) {
         pieces.iter_mut().for_each(|piece| piece.move_middle(centre, &cameras.intrinsics));
         (middle, off_centre) = (centre, OFF_CENTRE.1);
     }
@@ -191,7 +205,7 @@ mod tests {
         let shape_of = |sways: bool| {
             let tracks = (0..105).map(|i| track(i, sways)).collect();
             let object = Object { tracks, first: 0, end: 12 };
-            shape(&object, &cameras, &Outlines::unknown(12))
+            shape(&object, &[], &cameras, &Outlines::unknown(12))
         };
         // The largest distance of a point from the middle along the line of sight, relative to the depth.
         let range = |shape: &Shape| {
@@ -221,7 +235,8 @@ mod tests {
             PointTrack::followed(first, (0..12).map(at).collect(), vec![0.1; 12])
         };
         let tracks = (0..100).flat_map(|i| [track(i, 0), track(i, 12)]).collect();
-        let found = shape(&Object { tracks, first: 0, end: 24 }, &cameras, &Outlines::unknown(24));
+        let found =
+            shape(&Object { tracks, first: 0, end: 24 }, &[], &cameras, &Outlines::unknown(24));
         assert!(found.rigid && found.frames.iter().all(|f| f.view_from_object.is_some()));
         let view = |k: usize| found.frames[k].view_from_object.unwrap();
         for k in 0..23 {

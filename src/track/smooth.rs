@@ -12,8 +12,7 @@
 //! penalty on velocity ties it to that place; under a penalty on jerk it could drift along with the camera.
 //! If the vertical direction is known, an object that flies, rolls or drives has small acceleration except
 //! for a constant downward one. This is a stronger constraint than small jerk, because no sideways curve is
-//! attributed to the mover's own path. If gravity is known from another object that flies, then how fast this
-//! one seems to fall tells its distance, also if the camera moves as smoothly as it does. The evidence of the
+//! attributed to the mover's own path. The evidence of the
 //! path (its marginal likelihood under a Gaussian model of the velocities, accelerations or jerks) selects the
 //! model.
 
@@ -58,9 +57,6 @@ pub(super) struct Smoothest {
     /// unit that follows from the path and from what was known of it before. `None` unless the model with a
     /// fall was chosen.
     pub farther: Option<Vec<f64>>,
-    /// The downward acceleration of the path, world units per squared frame. `None` unless the model with an
-    /// unknown fall was chosen.
-    pub fall: Option<Estimate>,
 }
 
 /// Maximum number of frames that a path is subsampled to; the cost grows with the cube of this number.
@@ -90,14 +86,11 @@ const ANY: Range<i32> = -16..10;
 const STIFF: Range<i32> = -2..10;
 
 /// Finds the unit in which a path is smoothest. The places are in order, at equal time steps. `up` is the
-/// upward direction in the world, if known. `known` is an independent estimate of the unit's inverse, and
-/// `gravity` the downward acceleration of what flies (world units per squared frame), if it is known. Returns
-/// `None` for fewer than eight places, or if the data do not determine the unit.
+/// upward direction in the world, if known. `known` is an independent estimate of the unit's inverse. Returns `None` for fewer than eight places, or if the data do not determine the unit.
 pub(super) fn smoothest(
     all: &[Place],
     up: Option<DVec3>,
     known: Option<Estimate>,
-    gravity: Option<f64>,
 ) -> Option<Smoothest> {
     let step = all.len().div_ceil(MOST).max(1);
     let places: Vec<Place> = all.iter().copied().step_by(step).collect();
@@ -107,17 +100,7 @@ pub(super) fn smoothest(
     let path = Path::new(&places);
     let [stays, steady, travels] =
         [VELOCITY, ACCELERATION, JERK].map(|order| path.robust(order, ANY, None));
-    let frames_per_place = step as f64;
-    let flies =
-        up.and_then(|up| {
-            let fall = path.fall(up);
-            match gravity {
-                Some(gravity) => path
-                    .beside_fall(&fall, gravity * frames_per_place.powi(2))
-                    .robust(ACCELERATION, ANY, None),
-                None => path.robust(ACCELERATION, ANY, Some(&fall)),
-            }
-        });
+    let flies = up.and_then(|up| path.robust(ACCELERATION, ANY, Some(&path.fall(up))));
     let cost = |fit: &Option<Fit>| fit.as_ref().map_or(f64::INFINITY, |fit| fit.evidence);
     // The model of accelerations without a fall is compared but never gives the unit: the acceleration of a
     // thrown object is due to gravity.
@@ -129,7 +112,7 @@ pub(super) fn smoothest(
     } else {
         path.robust(JERK, STIFF, None)
     };
-    let Fit { unit, seen, fall, .. } = chosen?;
+    let Fit { unit, seen, .. } = chosen?;
     let farther = seen.map(|(seen, per_inverse)| {
         let more = known.map_or(0.0, |known| {
             let own = Estimate { value: unit.inverse, deviation: unit.deviation };
@@ -147,28 +130,19 @@ pub(super) fn smoothest(
         };
         (0..all.len()).map(between).collect()
     });
-    let per_frame = frames_per_place.powi(-2);
-    let fall = fall.map(|Estimate { value, deviation }| Estimate {
-        value: value * per_frame,
-        deviation: deviation * per_frame,
-    });
     let finite = unit.inverse.is_finite() && unit.deviation.is_finite();
-    finite.then_some(Smoothest { unit, farther, fall })
+    finite.then_some(Smoothest { unit, farther })
 }
 
 /// The equations of a path.
-#[derive(Clone)]
 struct Path {
     frames: usize,
     /// Information matrix of the observations, three rows per frame.
     weights: DMatrix<f64>,
     /// Positions of the mover relative to the camera.
     relative: DVector<f64>,
-    /// Positions of the camera relative to the mean of its path; of a camera that falls with the mover if
-    /// `falls`.
+    /// Positions of the camera relative to the mean of its path.
     camera: DVector<f64>,
-    /// Whether the camera falls with the mover.
-    falls: bool,
     /// The columns of [`Place::off_centre`], three rows per frame.
     turning: DMatrix<f64>,
     /// The offset of the observed middle from the centre of mass, in these columns, per difference of the
@@ -190,8 +164,6 @@ struct Fit {
     /// The path of the observed middle relative to the camera, and its derivative with respect to the unit's
     /// inverse; set if the model has a fall.
     seen: Option<(Vec<DVec3>, Vec<DVec3>)>,
-    /// The downward acceleration of an unknown fall, world units per squared step between places.
-    fall: Option<Estimate>,
 }
 
 impl Path {
@@ -230,7 +202,6 @@ impl Path {
             weights,
             relative,
             camera,
-            falls: false,
             turning,
             offset_of,
             noise: middle(|p| p.across.powi(-2)),
@@ -244,12 +215,6 @@ impl Path {
         let middle = 0.5 * (self.frames - 1) as f64;
         let fallen = |t: usize| -0.5 * (t as f64 - middle).powi(2);
         DVector::from_fn(3 * self.frames, |i, _| up[i % 3] * fallen(i / 3))
-    }
-
-    /// The equations of a path under a known acceleration along `fall`: relative to a camera that falls
-    /// likewise, the mover moves without a fall.
-    fn beside_fall(&self, fall: &DVector<f64>, acceleration: f64) -> Path {
-        Path { camera: &self.camera - fall * acceleration, falls: true, ..self.clone() }
     }
 
     /// Equal scales for all differences of an order.
@@ -365,30 +330,18 @@ impl Path {
                 let path = &xy + inverse * &xc;
                 let lasting = lasting(order, scales, &path, &xc);
                 let deviation = (rest / free / information * lasting).sqrt();
-                let fallen = fallen.map(|(fall, known, [own, camera])| {
-                    let value = own / inverse + camera;
-                    let apart = (rest / free / known).sqrt() / inverse;
-                    let deviation = (own / inverse.powi(2) * deviation).hypot(apart);
-                    (fall * own, fall * camera, Estimate { value, deviation })
-                });
-                let nothing = || DVector::zeros(n);
-                let (fall_of_own, fall_of_camera) = match &fallen {
-                    Some((own, camera, _)) => (own.clone(), camera.clone()),
-                    None => (nothing(), nothing()),
-                };
-                let seen = (fallen.is_some() || self.falls).then(|| {
+                let seen = fallen.map(|(fall, _, [own, camera])| {
                     let places = |v: DVector<f64>| {
                         v.as_slice().chunks_exact(3).map(DVec3::from_slice).collect()
                     };
-                    let per_inverse = &xc + fall_of_camera - &self.camera;
-                    let seen = &xy + fall_of_own + inverse * &per_inverse;
+                    let per_inverse = &xc + fall * camera - &self.camera;
+                    let seen = &xy + fall * own + inverse * &per_inverse;
                     let offset = &self.turning * (&self.offset_of * (&self.relative - &seen));
                     let offset_per_inverse = &self.turning * (&self.offset_of * &per_inverse);
                     (places(seen + offset), places(per_inverse - offset_per_inverse))
                 });
-                let fall = fallen.map(|(_, _, fall)| fall);
                 let unit = Unit { inverse, deviation };
-                best = Some(Fit { unit, evidence, path, seen, fall });
+                best = Some(Fit { unit, evidence, path, seen });
             }
         }
         best
@@ -446,7 +399,7 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
 
     fn unit(places: &[Place], up: Option<DVec3>) -> Option<Unit> {
-        smoothest(places, up, None, None).map(|found| found.unit)
+        smoothest(places, up, None).map(|found| found.unit)
     }
 
     /// A ball in flight, seen by a hand-held camera.
@@ -475,23 +428,6 @@ mod tests {
         let found = unit(&places(0.02, 0.0005), None).unwrap();
         assert!((found.inverse / 0.5 - 1.0).abs() < 0.03, "{found:?}");
         assert!(found.deviation < 0.03, "{found:?}");
-    }
-
-    #[test]
-    fn known_gravity_tells_how_far_a_ball_is_if_the_camera_hardly_does() {
-        let (up, gravity) = (DVec3::NEG_Y, 0.008);
-        let places = places(0.0003, 0.0005);
-        let alone = smoothest(&places, Some(up), None, None).unwrap();
-        let told = smoothest(&places, Some(up), None, Some(gravity)).unwrap();
-        let off = |found: &Smoothest| (found.unit.inverse / 0.5 - 1.0).abs();
-        assert!(off(&told) < 0.03, "{:?}", told.unit);
-        assert!(told.unit.deviation < 0.3 * alone.unit.deviation, "{:?}", alone.unit);
-        assert!(told.fall.is_none());
-        // A camera that shakes more tells gravity, too.
-        let steady = smoothest(&self::places(0.02, 0.0005), Some(up), None, None).unwrap();
-        let fall = steady.fall.unwrap();
-        let error = (fall.value - gravity).abs();
-        assert!(error < 3.0 * fall.deviation && fall.deviation < 0.1 * gravity, "{fall:?}");
     }
 
     #[test]
@@ -527,7 +463,7 @@ mod tests {
         };
         let drive: Vec<Place> = places(0.006, 0.0005).into_iter().enumerate().map(car).collect();
         let bend = |known: Option<Estimate>| {
-            let farther = smoothest(&drive, up, known, None).unwrap().farther.unwrap();
+            let farther = smoothest(&drive, up, known).unwrap().farther.unwrap();
             farther.iter().fold(0.0, |most: f64, by| most.max(by.abs()))
         };
         assert!(bend(None) < 0.002, "{}", bend(None));

@@ -151,7 +151,8 @@ mod tests {
             frames: (0..12).map(frame).collect(),
             drift: 0.01,
         };
-        let outlines = Outlines { frames: (0..12).map(outline).collect(), deviation: 0.015 };
+        let frames = (0..12).map(outline).collect();
+        let outlines = Outlines { frames, deviation: 0.015, discs: vec![None; 12] };
         (piece, outlines, intrinsics)
     }
 
