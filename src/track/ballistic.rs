@@ -20,10 +20,11 @@ use super::quantile;
 
 /// Minimum number of frames of a flight, and the minimum share of the frames with a known middle.
 const LEAST: (usize, f64) = (8, 0.4);
-/// Standard deviation of a middle, and the width of its robust kernel, pixels at a width of 320.
-const MIDDLE: f64 = 0.3;
+/// Standard deviation of a middle, and the width of its robust kernel, pixels at a width of 320: of an object with a
+/// structure, and of one whose outline alone is known, which changes as it turns.
+const MIDDLE: (f64, f64) = (0.3, 1.0);
 /// Maximum distance of the middles from the parabola, pixels at a width of 320: the median and the last decile.
-const FITS: (f64, f64) = (0.3, 1.0);
+const FITS: (f64, f64) = (0.4, 1.5);
 /// Minimum downward acceleration of what flies, in standard deviations.
 const FALLS: f64 = 4.0;
 /// Minimum difference of the cost of a straight path to that of one that falls, per frame, of an object that is known
@@ -49,6 +50,8 @@ pub(super) struct Middle {
     /// The frame of the clip.
     pub frame: usize,
     pub pixel: DVec2,
+    /// Whether the object's structure gives the middle, or its outline alone.
+    pub structured: bool,
     /// Logarithm of the depth, up to a constant.
     pub depth: f64,
     /// Standard deviation of the change of that logarithm since the middle before.
@@ -56,6 +59,7 @@ pub(super) struct Middle {
 }
 
 /// The path of an object.
+#[derive(Clone)]
 pub(super) struct Path {
     /// The frames of the clip in which the object exists.
     pub frames: Range<usize>,
@@ -228,9 +232,9 @@ impl World<'_> {
         let fits = |(k, flying): (usize, &Flying)| self.fits(&flying.sights, joint, k);
         let Some(last) = flying.last() else { return false };
         let straight = World { directions: Vec::new(), ..*self }.alone(&last.sights);
-        let explained = |off: f64| (off / (MIDDLE * self.size)).powi(2).ln_1p();
-        let cost: f64 =
-            self.off(&last.sights, joint, flying.len() - 1).into_iter().map(explained).sum();
+        let off = self.off(&last.sights, joint, flying.len() - 1);
+        let explained = |(off, sight): (f64, &Sight)| (off / self.deviation(sight)).powi(2).ln_1p();
+        let cost: f64 = off.into_iter().zip(&last.sights).map(explained).sum();
         let evident = EVIDENT * last.sights.len() as f64;
         flying.iter().enumerate().all(fits)
             && straight.is_none_or(|straight| straight.cost > cost + evident)
@@ -259,7 +263,7 @@ impl World<'_> {
             let depth = distance * (sight.middle.depth - usual).exp();
             let ray = self.cameras.intrinsics.ray(sight.middle.pixel) * depth;
             let place = sight.centre + sight.view_from_world.transpose() * ray;
-            let row = nalgebra::Vector3::from(basis(sight, time));
+            let row = nalgebra::Vector3::from(basis(sight.middle.frame, time));
             information += row * row.transpose();
             right += row * nalgebra::RowVector3::new(place.x, place.y, place.z);
         }
@@ -332,11 +336,10 @@ impl World<'_> {
         let count = first + self.directions.len();
         let (mut information, mut right) = (DMatrix::zeros(count, count), DVector::zeros(count));
         let mut cost = 0.0;
-        let deviation = MIDDLE * self.size;
         for (i, (sights, arc)) in seen.iter().zip(arcs).enumerate() {
             // The derivative with respect to the parameters, from that with respect to the point in the world.
             let row = |sight: &Sight, gradient: DVec3| -> Vec<(usize, f64)> {
-                let [one, time, square] = basis(sight, arc.time);
+                let [one, time, square] = basis(sight.middle.frame, arc.time);
                 let along = |k: usize| gradient.dot(self.directions[k]) * square;
                 let own = (0..3).map(|k| (6 * i + k, one * gradient[k]));
                 let own = own.chain((0..3).map(|k| (6 * i + 3 + k, time * gradient[k])));
@@ -356,6 +359,7 @@ impl World<'_> {
                 if at.z <= 1e-3 {
                     return None;
                 }
+                let deviation = self.deviation(sight);
                 let off = (sight.middle.pixel - self.cameras.intrinsics.project(at)) / deviation;
                 let weight = (1.0 + off.length_squared()).recip();
                 cost += off.length_squared().ln_1p();
@@ -380,12 +384,21 @@ impl World<'_> {
         Some((information, right, cost))
     }
 
+    /// Standard deviation of a middle, pixels.
+    fn deviation(&self, sight: &Sight) -> f64 {
+        self.size * if sight.middle.structured { MIDDLE.0 } else { MIDDLE.1 }
+    }
+
     /// The object in the camera frame of a sight.
     fn view(&self, sight: &Sight, arc: &Arc, acceleration: &[f64]) -> DVec3 {
-        let [_, time, square] = basis(sight, arc.time);
+        let [_, time, square] = basis(sight.middle.frame, arc.time);
+        sight.view_from_world * (self.place(arc, acceleration, [time, square]) - sight.centre)
+    }
+
+    /// The object in the world, from the factors of velocity and acceleration.
+    fn place(&self, arc: &Arc, acceleration: &[f64], [time, square]: [f64; 2]) -> DVec3 {
         let fallen = self.directions.iter().zip(acceleration).map(|(d, a)| *d * *a).sum::<DVec3>();
-        let at = arc.place + arc.velocity * time + fallen * square;
-        sight.view_from_world * (at - sight.centre)
+        arc.place + arc.velocity * time + fallen * square
     }
 
     /// The derivatives of the pixel's coordinates with respect to a point in the camera frame.
@@ -422,15 +435,16 @@ impl World<'_> {
         let start = if enters { path.frames.start } else { first };
         let frames = start..if leaves { path.frames.end } else { last + 1 };
         let depth = |frame: usize| {
-            let middle = Middle { frame, pixel: DVec2::ZERO, depth: 0.0, drift: 0.0 };
-            self.view(&self.sight(&middle), arc, &fit.acceleration).z
+            let pose = &self.cameras.poses[frame];
+            let [_, time, square] = basis(frame, arc.time);
+            pose.apply(self.place(arc, &fit.acceleration, [time, square])).z
         };
         let depths: Vec<f64> = frames.clone().map(depth).collect();
         // The deviation of the logarithm of the depth in the middle of the flight.
         let middle = &sights[sights.len() / 2];
         let gradient =
             middle.view_from_world.transpose().z_axis / self.view(middle, arc, &fit.acceleration).z;
-        let [one, time, square] = basis(middle, arc.time);
+        let [one, time, square] = basis(middle.middle.frame, arc.time);
         let mut row = DVector::zeros(6 * fit.arcs.len() + self.directions.len());
         for k in 0..3 {
             row[6 * object + k] = one * gradient[k];
@@ -445,9 +459,9 @@ impl World<'_> {
     }
 }
 
-/// The factors of place, velocity and acceleration at the time of a sight.
-fn basis(sight: &Sight, time: f64) -> [f64; 3] {
-    let time = (sight.middle.frame as f64 - time) / UNIT;
+/// The factors of place, velocity and acceleration in a frame.
+fn basis(frame: usize, time: f64) -> [f64; 3] {
+    let time = (frame as f64 - time) / UNIT;
     [1.0, time, 0.5 * time * time]
 }
 
@@ -488,7 +502,13 @@ mod tests {
             let at = cameras.poses[frame].apply(place(t));
             let noise = DVec2::new((9.1 * t + phase).sin(), (5.3 * t + 2.0 * phase).cos());
             let pixel = cameras.intrinsics.project(at) + 0.15 * noise;
-            Middle { frame, pixel, depth: at.z.ln() + 0.7 + 0.05 * t / 24.0, drift: 0.005 }
+            Middle {
+                frame,
+                pixel,
+                structured: true,
+                depth: at.z.ln() + 0.7 + 0.05 * t / 24.0,
+                drift: 0.005,
+            }
         };
         Path { frames: 0..FRAMES, middles: (0..FRAMES).map(middle).collect() }
     }
@@ -563,5 +583,22 @@ mod tests {
         assert!(error(thrown_alone, &cameras, thrown) < 0.1);
         assert!(found[1].as_ref().is_none_or(|f| error(f, &cameras, sinks) < 0.3));
         assert!(flights(&[], &cameras).is_empty());
+    }
+
+    #[test]
+    fn what_is_seen_for_a_short_time_falls_like_the_others() {
+        let cameras = cameras(true);
+        let mut short = path(&cameras, 1.0, other);
+        short.middles.retain(|middle| (4..13).contains(&middle.frame));
+        let known = |flight: &Option<Flight>| flight.as_ref().map(|flight| flight.deviation);
+        let alone = known(&flights(&[short.clone()], &cameras)[0]);
+        let drives = |t: f64| DVec3::new(0.03 * t - 0.4, 0.2, 0.9 - 0.01 * t);
+        let paths = [path(&cameras, 0.0, thrown), short, path(&cameras, 2.0, drives)];
+        let found = flights(&paths, &cameras);
+        let flight = found[1].as_ref().unwrap();
+        assert!(alone.is_none_or(|alone| flight.deviation < alone), "{alone:?}");
+        assert!(error(flight, &cameras, other) < 0.1, "{}", error(flight, &cameras, other));
+        // A car that drives straight on stays what it is.
+        assert!(found[2].is_none());
     }
 }

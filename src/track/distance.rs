@@ -61,6 +61,8 @@ const BESIDE: (f64, f64) = (0.05, 0.12);
 /// Standard deviation of the logarithm of supplied depth in one frame, and the minimum share of an object's
 /// frames that must have supplied depth.
 const SUPPLIED: (f64, f64) = (0.05, 0.5);
+/// How far in front of an object's centre its visible surface is on average, in radii: that of a ball.
+const SURFACE: f64 = 2.0 / 3.0;
 /// Minimum standard deviation of a step of a path, as a logarithm of depth.
 const LEAST_DRIFT: f64 = 0.002;
 
@@ -218,7 +220,8 @@ impl Observed {
                 (None, None) => None,
             };
             let off_centre = turned * (radius * shape.off_centre);
-            Seen { depth: depths[k], middle: middles[k], known, radius, off_centre }
+            let structured = pose.is_some();
+            Seen { depth: depths[k], middle: middles[k], structured, known, radius, off_centre }
         };
         let seen: Vec<Seen> = (0..depths.len()).map(seen).collect();
         let hidden =
@@ -233,10 +236,10 @@ impl Observed {
         let mut before = None;
         let middles = known
             .map(|k| {
-                let Seen { depth, middle, .. } = self.seen[k];
+                let Seen { depth, middle, structured, .. } = self.seen[k];
                 let since = before.replace(k).unwrap_or(k);
                 let drift = self.steps[since..k].iter().map(|step| step * step).sum::<f64>().sqrt();
-                Middle { frame: self.first + k, pixel: middle, depth, drift }
+                Middle { frame: self.first + k, pixel: middle, structured, depth, drift }
             })
             .collect();
         ballistic::Path { frames: self.first..self.first + self.seen.len(), middles }
@@ -275,11 +278,14 @@ impl Observed {
         Distance { path, scale: Scale::Bounded { before: bounded.before, smooth } }
     }
 
-    /// What a flight tells of the path. Before and after it the path goes on as observed.
+    /// What a flight tells of the path. Before and after it the path goes on as observed. The depth of an object
+    /// without a structure is that of the surface that is seen, which is in front of the centre that flies.
     fn flown(&self, flight: &Flight) -> Smoothness {
         let off = |frame: usize| {
-            let k = frame.clamp(flight.frames.start, flight.frames.end - 1) - flight.frames.start;
-            flight.depths[k].ln() - self.seen[flight.frames.start + k - self.first].depth
+            let frame = frame.clamp(flight.frames.start, flight.frames.end - 1);
+            let Seen { depth, structured, radius, .. } = self.seen[frame - self.first];
+            let before = if structured { 0.0 } else { (SURFACE * radius / depth.exp()).min(0.5) };
+            flight.depths[frame - flight.frames.start].ln() + (-before).ln_1p() - depth
         };
         let value = quantile(flight.frames.clone().map(off).collect(), 0.5);
         let farther = (0..self.seen.len()).map(|k| off(self.first + k) - value).collect();
@@ -358,6 +364,8 @@ struct Seen {
     /// Logarithm of the object's depth.
     depth: f64,
     middle: DVec2,
+    /// Whether structure from motion holds in the frame.
+    structured: bool,
     /// Standard deviation of the depth as a logarithm, in frames where the middle is known.
     known: Option<f64>,
     /// The object's radius, in the unit of its depth.
@@ -474,6 +482,45 @@ mod tests {
     use glam::DQuat;
 
     #[test]
+    fn a_flight_gives_the_depths_and_the_path_goes_on_as_observed() {
+        let intrinsics = Intrinsics::centred(300.0, 320, 180);
+        let cameras = Cameras::known(intrinsics, vec![Pose::IDENTITY; 12]);
+        let seen = |k: usize| Seen {
+            depth: 0.1 * k as f64,
+            middle: DVec2::ZERO,
+            structured: true,
+            known: Some(ALONG.0),
+            radius: 0.1,
+            off_centre: DMat3::ZERO,
+        };
+        let observed = Observed {
+            first: 2,
+            seen: (0..8).map(seen).collect(),
+            steps: vec![0.01; 7],
+            lower_ends: vec![None; 8],
+            contacts: vec![None; 8],
+            hidden: vec![Some(3.0); 8],
+        };
+        let flight =
+            |deviation: f64| Flight { frames: 4..7, depths: vec![1.5, 1.6, 1.8], deviation };
+        let (depths, confidence) = observed.distance(&cameras, Some(&flight(1e-6))).depths();
+        assert_eq!(confidence, KNOWN);
+        let expected = |k: usize| match k {
+            0..2 => 1.5 * (0.1 * (k as f64 - 2.0)).exp(),
+            2..5 => [1.5, 1.6, 1.8][k - 2],
+            _ => 1.8 * (0.1 * (k as f64 - 4.0)).exp(),
+        };
+        for (k, depth) in depths.iter().enumerate() {
+            assert!((depth / expected(k) - 1.0).abs() < 1e-6, "{k}: {depth} {}", expected(k));
+        }
+        // Far behind what it hides, it does not fly.
+        let hidden = vec![Some(-1.0); 8];
+        let behind = Observed { hidden, ..observed };
+        let (depths, confidence) = behind.distance(&cameras, Some(&flight(0.05))).depths();
+        assert!(confidence == BOUND && depths[3] < 0.4, "{depths:?}");
+    }
+
+    #[test]
     fn gaps_are_as_long_as_the_frames_that_are_not_known() {
         let known = [1, 0, 1, 0, 0, 0, 1, 0].map(|known| (known == 1).then_some(0.1));
         assert_eq!(unknown_for(&known), [0, 1, 0, 3, 3, 3, 0, 1]);
@@ -502,6 +549,7 @@ mod tests {
                 Seen {
                     depth: (unit * at.z * if part { 1.2 } else { 1.0 }).ln(),
                     middle: middle + if part { DVec2::new(4.0, 0.0) } else { DVec2::ZERO },
+                    structured: true,
                     known: (!part).then_some(ALONG.0),
                     radius: 0.2 * unit,
                     off_centre: DMat3::ZERO,
