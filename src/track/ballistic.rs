@@ -78,8 +78,7 @@ pub(super) struct Flight {
     pub deviation: f64,
 }
 
-/// The flights of objects. `None` for an object that does
-/// not fly, or whose distance remains unknown.
+/// The flights of objects. `None` for an object that does not fly, or whose distance remains unknown.
 pub(super) fn flights(paths: &[Path], cameras: &Cameras) -> Vec<Option<Flight>> {
     let size = (f64::from(cameras.intrinsics.width) / 320.0).max(1.0);
     let directions = match cameras.up() {

@@ -30,12 +30,18 @@ const GAP: usize = 2;
 const LEAST_TRACKS: usize = 6;
 /// Width of the robust kernel of these tracks, pixels.
 const WIDTH: f64 = 1.0;
+/// Minimum number of pixels that two frames share.
+const LEAST_PIXELS: usize = 30;
 /// The frames before and after whose images a frame's rotation is fitted to.
 const NEIGHBOURS: usize = 3;
 /// Minimum cosine of the angle between the line of sight and the surface, in both frames.
 const FACING: f64 = 0.35;
 /// Rounds of the rotation from a frame to the next by tracks.
 const ROUNDS: usize = 10;
+/// Approximate number of pixels along the ball's radius that are compared.
+const FINE: f64 = 30.0;
+/// Width of the image around the ball that is kept, pixels.
+const MARGIN: f64 = 4.0;
 /// Number of passes over all frames, and of steps for each.
 const PASSES: (usize, usize) = (4, 6);
 /// Width of the robust kernel of intensities, in units of their range.
@@ -87,7 +93,11 @@ pub(super) fn ball(
         };
         sights[k].rotation = step.unwrap_or(before) * sights[k - 1].rotation;
     }
-    let views: Vec<View> = frames[run.clone()].iter().map(View::of).collect();
+    let views: Vec<View> = frames[run.clone()]
+        .iter()
+        .zip(&sights)
+        .map(|(frame, sight)| View::of(frame, sight, intrinsics))
+        .collect::<Option<_>>()?;
     let explained = turned_by_images(&mut sights, &views, intrinsics);
     if explained < EXPLAINED {
         return None;
@@ -133,18 +143,38 @@ fn centres(discs: &[Option<Disc>]) -> Vec<Sight> {
     (0..discs.len()).map(|k| Sight { centre: centre(k), rotation: DQuat::IDENTITY }).collect()
 }
 
-/// The colours of a frame as smooth surfaces.
-struct View([Luminance; 3]);
+/// The colours around the ball in a frame, as smooth surfaces.
+struct View {
+    /// Pixel of the upper left corner.
+    corner: DVec2,
+    channels: [Luminance; 3],
+}
 
 impl View {
-    fn of(image: &Image) -> View {
-        let channels = image.channels as usize;
+    /// `None` if the ball is not in the image.
+    fn of(image: &Image, sight: &Sight, intrinsics: &Intrinsics) -> Option<View> {
+        let (middle, half) = (intrinsics.project(sight.centre), sight.radius(intrinsics) + MARGIN);
+        let size = DVec2::new(f64::from(image.width), f64::from(image.height));
+        let corner = (middle - half).floor().clamp(DVec2::ZERO, size);
+        let end = (middle + half).ceil().clamp(corner, size);
+        let (width, height) = ((end.x - corner.x) as u32, (end.y - corner.y) as u32);
+        if width == 0 || height == 0 {
+            return None;
+        }
+        let (left, top) = (corner.x as u32, corner.y as u32);
         let channel = |c: usize| {
-            let pixels = image.pixels.chunks_exact(channels).map(|p| p[c.min(channels - 1)]);
-            let (width, height) = (image.width, image.height);
-            Luminance::of(&Image { width, height, channels: 1, pixels: pixels.collect() })
+            let c = c.min(image.channels as usize - 1);
+            let row = |y: u32| (left..left + width).map(move |x| image.at(x, y)[c]);
+            let pixels = (top..top + height).flat_map(row).collect();
+            Luminance::of(&Image { width, height, channels: 1, pixels })
         };
-        View([channel(0), channel(1), channel(2)])
+        Some(View { corner, channels: [channel(0), channel(1), channel(2)] })
+    }
+
+    /// Colour and gradients (per pixel) at a pixel; `None` outside of the image.
+    fn at(&self, pixel: DVec2) -> Option<[(f64, DVec2); 3]> {
+        let [r, g, b] = self.channels.each_ref().map(|c| c.sample(pixel - self.corner));
+        Some([r?, g?, b?])
     }
 }
 
@@ -190,6 +220,7 @@ fn carried(
     intrinsics: &Intrinsics,
 ) -> (DMat3, DVec3, f64) {
     let other_from_own = DMat3::from_quat(other.rotation * own.rotation.conjugate());
+    let own_from_other = other_from_own.transpose();
     let mut rows: Vec<([f64; 3], [f64; 3], [DVec3; 3])> = Vec::new();
     for Shown { direction, colour } in shown {
         let arm = other_from_own * *direction;
@@ -197,19 +228,14 @@ fn carried(
         if -arm.dot(at) < FACING * at.length() {
             continue;
         }
-        let pixel = intrinsics.project(at);
-        let [x, y] = gradients(at, intrinsics);
-        let sampled = view.0.each_ref().map(|channel| channel.sample(pixel));
-        let [Some(r), Some(g), Some(b)] = sampled else { continue };
+        let Some(there) = view.at(intrinsics.project(at)) else { continue };
+        let [x, y] = gradients(at, intrinsics).map(|gradient| own_from_other * gradient);
         // Turning the first ball by ω moves the direction n in the second one's frame by −A (ω × n).
-        let slope = [r.1, g.1, b.1].map(|slope| {
-            let gradient = other_from_own.transpose() * (x * slope.x + y * slope.y);
-            gradient.cross(*direction)
-        });
-        rows.push((*colour, [r.0, g.0, b.0], slope));
+        let slope = there.map(|(_, slope)| (x * slope.x + y * slope.y).cross(*direction));
+        rows.push((*colour, there.map(|(colour, _)| colour), slope));
     }
     let (mut information, mut right, mut left, mut all) = (DMat3::ZERO, DVec3::ZERO, 0.0, 0.0);
-    if rows.len() < LEAST_TRACKS {
+    if rows.len() < LEAST_PIXELS {
         return (information, right, 0.0);
     }
     for c in 0..3 {
@@ -300,19 +326,25 @@ impl Sight {
         self.centre + self.rotation * point
     }
 
-    /// The pixels of the ball that face the camera.
+    /// The radius in the image, pixels; the ball is seen larger beside the middle of the image.
+    fn radius(&self, intrinsics: &Intrinsics) -> f64 {
+        let widening = self.centre.length() / self.centre.z;
+        widening.powi(2) * intrinsics.fx / (self.centre.length_squared() - 1.0).max(0.1).sqrt()
+    }
+
+    /// Pixels of the ball that face the camera.
     fn shown(&self, view: &View, intrinsics: &Intrinsics) -> Vec<Shown> {
-        let middle = intrinsics.project(self.centre);
-        let radius = (1.5 * intrinsics.fx / (self.centre.z - 1.0).max(0.1)).ceil() as i32;
+        let (middle, radius) = (intrinsics.project(self.centre), self.radius(intrinsics));
+        let step = (radius / FINE).max(1.0);
+        let steps = (radius / step).ceil() as i32;
         let mut out = Vec::new();
-        for y in -radius..=radius {
-            for x in -radius..=radius {
-                let pixel = (middle + DVec2::new(f64::from(x), f64::from(y))).floor() + 0.5;
+        for y in -steps..=steps {
+            for x in -steps..=steps {
+                let pixel = middle + step * DVec2::new(f64::from(x), f64::from(y));
                 let (direction, facing) = self.met(pixel, intrinsics);
-                let sampled = view.0.each_ref().map(|channel| channel.sample(pixel));
-                if let ([Some(r), Some(g), Some(b)], true) = (sampled, facing > FACING) {
-                    out.push(Shown { direction, colour: [r.0, g.0, b.0] });
-                }
+                let colour = view.at(pixel).filter(|_| facing > FACING);
+                let shown = colour.map(|c| Shown { direction, colour: c.map(|(c, _)| c) });
+                out.extend(shown);
             }
         }
         out
