@@ -16,7 +16,7 @@ use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
 use super::cameras::Cameras;
 use super::path::Estimate;
-use super::quantile;
+use super::{pixel_gradients, quantile};
 
 /// Minimum number of frames of a flight, and the minimum share of the frames with a known middle.
 const LEAST: (usize, f64) = (8, 0.4);
@@ -230,13 +230,11 @@ impl World<'_> {
     fn falls(&self, flying: &[Flying], joint: &Fit) -> bool {
         let fits = |(k, flying): (usize, &Flying)| self.fits(&flying.sights, joint, k);
         let Some(last) = flying.last() else { return false };
-        let straight = World { directions: Vec::new(), ..*self }.alone(&last.sights);
-        let off = self.off(&last.sights, joint, flying.len() - 1);
-        let explained = |(off, sight): (f64, &Sight)| (off / self.deviation(sight)).powi(2).ln_1p();
-        let cost: f64 = off.into_iter().zip(&last.sights).map(explained).sum();
+        let straight = World { directions: Vec::new(), ..*self };
         let evident = EVIDENT * last.sights.len() as f64;
-        flying.iter().enumerate().all(fits)
-            && straight.is_none_or(|straight| straight.cost > cost + evident)
+        let cost = self.cost(&last.sights, joint, flying.len() - 1);
+        let is_worse = |fit: Fit| straight.cost(&last.sights, &fit, 0) > cost + evident;
+        flying.iter().enumerate().all(fits) && straight.alone(&last.sights).is_none_or(is_worse)
     }
 
     /// The magnitude of the acceleration of a fit.
@@ -363,7 +361,9 @@ impl World<'_> {
                 let weight = (1.0 + off.length_squared()).recip();
                 cost += off.length_squared().ln_1p();
                 let world_from_view = sight.view_from_world.transpose();
-                for (gradient, off) in self.gradients(at).into_iter().zip([off.x, off.y]) {
+                for (gradient, off) in
+                    pixel_gradients(&self.cameras.intrinsics, at).into_iter().zip([off.x, off.y])
+                {
                     add(&row(sight, world_from_view * gradient / deviation), off, weight);
                 }
                 let depth = at.z.ln() - sight.middle.depth;
@@ -400,15 +400,6 @@ impl World<'_> {
         arc.place + arc.velocity * time + fallen * square
     }
 
-    /// The derivatives of the pixel's coordinates with respect to a point in the camera frame.
-    fn gradients(&self, at: DVec3) -> [DVec3; 2] {
-        let k = &self.cameras.intrinsics;
-        [
-            DVec3::new(1.0, 0.0, -at.x / at.z) * (k.fx / at.z),
-            DVec3::new(0.0, 1.0, -at.y / at.z) * (k.fy / at.z),
-        ]
-    }
-
     /// The distances of an object's middles from its parabola, pixels.
     fn off(&self, sights: &[Sight], fit: &Fit, object: usize) -> Vec<f64> {
         let off = |sight: &Sight| {
@@ -416,6 +407,12 @@ impl World<'_> {
             self.cameras.intrinsics.project(at).distance(sight.middle.pixel)
         };
         sights.iter().map(off).collect()
+    }
+
+    /// The cost of an object's middles, without that of its depths.
+    fn cost(&self, sights: &[Sight], fit: &Fit, object: usize) -> f64 {
+        let off = self.off(sights, fit, object).into_iter().zip(sights);
+        off.map(|(off, sight)| (off / self.deviation(sight)).powi(2).ln_1p()).sum()
     }
 
     /// Whether the parabola explains an object's middles.

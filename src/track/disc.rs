@@ -15,7 +15,7 @@ use crate::types::Intrinsics;
 const EDGE: f64 = 2.0;
 /// Minimum number of sides of pixels on the contour.
 const LEAST: usize = 20;
-/// Width of the robust kernel, and the standard deviation of the contour as a whole, pixels.
+/// Width of the robust kernel, and the standard deviation of a side of the contour, pixels.
 const SHARP: (f64, f64) = (1.0, 0.5);
 /// Number of rounds of reweighting.
 const ROUNDS: usize = 10;
@@ -66,7 +66,7 @@ pub(super) fn disc(region: &Region, intrinsics: &Intrinsics) -> Option<Disc> {
         found = Some((cone, inverse, pixel, off));
     }
     let (cone, inverse, pixel, off) = found?;
-    // Errors of neighbouring sides are alike: the contour counts as one side for each of its deviations' lengths.
+    // The deviation of the logarithm of the distance, from independent errors of the sides.
     let deviation = {
         let length = cone.axis.dot(inverse * cone.axis).max(0.0).sqrt() * pixel * SHARP.1;
         // The half angle a has the cosine 1 / |m|, and the distance is 1 / sin a.

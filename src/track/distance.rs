@@ -247,8 +247,7 @@ impl Observed {
 
     /// Estimates the distance without regard to connected objects. `flight` is the object's, if it flies.
     pub fn distance(&self, cameras: &Cameras, flight: Option<&Flight>) -> Distance {
-        let depths = || self.seen.iter().map(|seen| seen.depth);
-        let observed: Vec<f64> = depths().collect();
+        let observed: Vec<f64> = self.seen.iter().map(|seen| seen.depth).collect();
         let touching = touched(&observed, &self.contacts, &self.lower_ends, &self.steps)
             .map(|(_, touching)| touching);
         let agrees = |smooth: &Smoothness| touching.is_none_or(|t| smooth.scale.agrees_with(t));

@@ -525,6 +525,14 @@ fn binary(mask: &Image) -> Image {
     Image { pixels, ..*mask }
 }
 
+/// The derivatives of a pixel's coordinates with respect to the point in the camera frame that it shows.
+fn pixel_gradients(intrinsics: &Intrinsics, point: DVec3) -> [DVec3; 2] {
+    [
+        DVec3::new(1.0, 0.0, -point.x / point.z) * (intrinsics.fx / point.z),
+        DVec3::new(0.0, 1.0, -point.y / point.z) * (intrinsics.fy / point.z),
+    ]
+}
+
 /// The quantile of the values at `share`; 0 for an empty list.
 fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
     if values.is_empty() {

@@ -14,7 +14,7 @@ use super::super::cameras::Cameras;
 use super::super::disc::Disc;
 use super::super::objects::Object;
 use super::super::outline::Outlines;
-use super::super::quantile;
+use super::super::{pixel_gradients, quantile};
 use super::Frame;
 use super::joined::Piece;
 use crate::geometry::se3::exp_so3;
@@ -229,7 +229,7 @@ fn carried(
             continue;
         }
         let Some(there) = view.at(intrinsics.project(at)) else { continue };
-        let [x, y] = gradients(at, intrinsics).map(|gradient| own_from_other * gradient);
+        let [x, y] = pixel_gradients(intrinsics, at).map(|gradient| own_from_other * gradient);
         // Turning the first ball by ω moves the direction n in the second one's frame by −A (ω × n).
         let slope = there.map(|(_, slope)| (x * slope.x + y * slope.y).cross(*direction));
         rows.push((*colour, there.map(|(colour, _)| colour), slope));
@@ -349,14 +349,6 @@ impl Sight {
         }
         out
     }
-}
-
-/// The derivatives of the pixel's coordinates with respect to a point in the camera frame.
-fn gradients(at: DVec3, intrinsics: &Intrinsics) -> [DVec3; 2] {
-    [
-        DVec3::new(1.0, 0.0, -at.x / at.z) * (intrinsics.fx / at.z),
-        DVec3::new(0.0, 1.0, -at.y / at.z) * (intrinsics.fy / at.z),
-    ]
 }
 
 #[cfg(test)]

@@ -8,7 +8,7 @@
 use glam::{DMat3, DVec2, DVec3};
 
 use super::super::outline::Outlines;
-use super::super::quantile;
+use super::super::{pixel_gradients, quantile};
 use super::joined::Piece;
 use crate::geometry::se3::matrix3;
 use crate::types::{Intrinsics, Pose};
@@ -95,11 +95,8 @@ fn equations(
         let off = *middle - intrinsics.project(at);
         let weight = weight(off.length());
         let object_from_view = DMat3::from_quat(view_from_object.rotation).transpose();
-        let across = [
-            (DVec3::new(1.0, 0.0, -at.x / at.z) * (intrinsics.fx / at.z), off.x),
-            (DVec3::new(0.0, 1.0, -at.y / at.z) * (intrinsics.fy / at.z), off.y),
-        ];
-        for (gradient, off) in across {
+        let gradients = pixel_gradients(intrinsics, at);
+        for (gradient, off) in gradients.into_iter().zip([off.x, off.y]) {
             let gradient = object_from_view * gradient;
             let weighted = gradient * weight;
             information += DMat3::from_cols(
