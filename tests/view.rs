@@ -158,9 +158,8 @@ fn the_newest_camera_wins() {
     let server = serve(&device, scene.clone(), None);
     let mut client = Client::new(&server);
     let last = 60;
-    for id in 1..=last {
-        client.ask(&request(id, camera(640, 360, 0.01 * id as f64), 0.5));
-    }
+    let requests = (1..=last).map(|id| request(id, camera(640, 360, 0.01 * id as f64), 0.5));
+    client.ask_at_once(requests);
     let mut ids = Vec::new();
     let newest = loop {
         let (header, _, picture) = client.picture();

@@ -130,6 +130,16 @@ impl Client {
         self.say(&serde_json::to_string(request).unwrap());
     }
 
+    /// Sends several requests in one write: a server that is rendering receives all of them before it is
+    /// done, however this thread is scheduled.
+    pub fn ask_at_once(&mut self, requests: impl IntoIterator<Item = Request>) {
+        for request in requests {
+            let text = serde_json::to_string(&request).unwrap();
+            self.0.write(Message::text(text)).unwrap();
+        }
+        self.0.flush().unwrap();
+    }
+
     pub fn say(&mut self, text: &str) {
         self.0.send(Message::text(text)).unwrap();
     }
