@@ -6,6 +6,9 @@
 //! of three functions). Of the object's observed depths only the change from each frame to the next is used: structure
 //! from motion drifts, and so does the size of an outline.
 //!
+//! The centre of an object without a known structure, and of one whose structure does not show it, is the middle of its
+//! outline. The points that are seen are no substitute: as the object turns they give way to others.
+//!
 //! An object that is thrown or bounces flies in a part of its frames. The longest part in which a parabola explains
 //! its middles to a fraction of a pixel is used.
 
@@ -13,6 +16,7 @@ use std::ops::Range;
 
 use glam::{DMat3, DVec2, DVec3};
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
+use rayon::prelude::*;
 
 use super::cameras::Cameras;
 use super::path::Estimate;
@@ -20,11 +24,11 @@ use super::{pixel_gradients, quantile};
 
 /// Minimum number of frames of a flight, and the minimum share of the frames with a known middle.
 const LEAST: (usize, f64) = (8, 0.4);
-/// Standard deviation of a middle, and the width of its robust kernel, pixels at a width of 320: of an object with a
-/// structure, and of one whose outline alone is known, which changes as it turns.
+/// Standard deviation of a middle, and the width of its robust kernel, pixels at a width of 320: if the object's
+/// structure shows its centre, and if its outline alone does, which changes as it turns.
 const MIDDLE: (f64, f64) = (0.3, 1.0);
-/// Maximum distance of the middles from the parabola, pixels at a width of 320: the median and the last decile.
-const FITS: (f64, f64) = (0.4, 1.5);
+/// Maximum distance of the middles from the parabola, in standard deviations: the median and the last decile.
+const FITS: (f64, f64) = (1.33, 5.0);
 /// Minimum downward acceleration of what flies, in standard deviations.
 const FALLS: f64 = 4.0;
 /// Minimum difference of the cost of a straight path to that of one that falls, per frame, of an object that is known
@@ -91,12 +95,12 @@ pub(super) fn flights(paths: &[Path], cameras: &Cameras) -> Vec<Option<Flight>> 
         .map(|path| path.middles.iter().map(|middle| world.sight(middle)).collect())
         .collect();
     let falls = |fit: &Fit| world.gravity(fit).is_some_and(|g| g.value > FALLS * g.deviation);
-    let flying = |object: usize, falls: &dyn Fn(&Fit) -> bool| {
+    let flying = |object: usize, falls: &(dyn Fn(&Fit) -> bool + Sync)| {
         let (part, alone) = world.longest(&sights[object], falls)?;
         Some(Flying { object, sights: sights[object][part].to_vec(), alone })
     };
     let mut found: Vec<Flying> =
-        (0..paths.len()).filter_map(|object| flying(object, &falls)).collect();
+        (0..paths.len()).into_par_iter().filter_map(|object| flying(object, &falls)).collect();
     let mut out: Vec<Option<Flight>> = paths.iter().map(|_| None).collect();
     let Some(mut joint) = world.consistent(&mut found) else { return out };
     // What does not show alone that it falls may show it with the acceleration that the others show.
@@ -174,19 +178,21 @@ impl World<'_> {
     fn longest(
         &self,
         sights: &[Sight],
-        as_it_should_be: &dyn Fn(&Fit) -> bool,
+        as_it_should_be: &(dyn Fn(&Fit) -> bool + Sync),
     ) -> Option<(Range<usize>, Fit)> {
         let least = LEAST.0.max((LEAST.1 * sights.len() as f64).ceil() as usize);
         let mut length = sights.len();
         while length >= least {
             let step = ((PARTS.1 * length as f64) as usize).max(1);
-            for first in (0..=sights.len() - length).step_by(step) {
-                let part = first..first + length;
+            let explained = |k: usize| {
+                let part = step * k..step * k + length;
                 let own = &sights[part.clone()];
                 let fit = self.alone(own).filter(|fit| self.fits(own, fit, 0));
-                if let Some(fit) = fit.filter(as_it_should_be) {
-                    return Some((part, fit));
-                }
+                fit.filter(as_it_should_be).map(|fit| (part, fit))
+            };
+            let parts = 0..=(sights.len() - length) / step;
+            if let Some(found) = parts.into_par_iter().find_map_first(explained) {
+                return Some(found);
             }
             length = ((PARTS.0 * length as f64) as usize).min(length - 1);
         }
@@ -199,30 +205,49 @@ impl World<'_> {
         STARTS.iter().filter_map(start).min_by(|a, b| a.cost.total_cmp(&b.cost))
     }
 
-    /// The parabolas of several objects with a common acceleration, from those of each alone.
+    /// The parabolas of several objects with a common acceleration: the best fit of those that start from the
+    /// acceleration of one of them.
     fn joint(&self, flying: &[Flying]) -> Option<Fit> {
         if let [single] = flying {
             return Some(single.alone.clone());
         }
-        let relative = |fit: &Fit| self.gravity(fit).map_or(f64::INFINITY, |g| g.relative());
-        let fits = flying.iter().map(|flying| &flying.alone);
-        let best = fits.min_by(|a, b| relative(a).total_cmp(&relative(b)))?;
         let seen: Vec<&[Sight]> = flying.iter().map(|flying| flying.sights.as_slice()).collect();
-        let arcs = flying.iter().map(|flying| flying.alone.arcs[0]).collect();
-        self.fitted(&seen, (arcs, best.acceleration.clone()))
+        let fit = |Flying { alone, .. }: &Flying| {
+            let arcs = flying.iter().map(|flying| self.falling(flying, &alone.acceleration));
+            self.fitted(&seen, (arcs.collect::<Option<_>>()?, alone.acceleration.clone()))
+        };
+        let fits: Vec<Fit> = flying.par_iter().filter_map(fit).collect();
+        fits.into_iter().min_by(|a, b| a.cost.total_cmp(&b.cost))
+    }
+
+    /// The start of an object's parabola with a given acceleration: of its own parabola and those at several
+    /// distances the one that explains its middles best with it.
+    fn falling(&self, Flying { sights, alone, .. }: &Flying, acceleration: &[f64]) -> Option<Arc> {
+        let lifted = STARTS.iter().map(|distance| self.lifted(sights, *distance).0[0]);
+        let cost = |arc: Arc| {
+            let (_, _, cost) = self.equations(&[sights], &[arc], acceleration)?;
+            Some((cost, arc))
+        };
+        let arcs = lifted.chain([alone.arcs[0]]).filter_map(cost);
+        arcs.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, arc)| arc)
     }
 
     /// The parabolas of the objects that fall alike; the others are removed.
     fn consistent(&self, flying: &mut Vec<Flying>) -> Option<Fit> {
-        loop {
-            let joint = self.joint(flying)?;
-            let off = |k: &usize| quantile(self.off(&flying[*k].sights, &joint, *k), 0.5);
-            let worst = (0..flying.len()).max_by(|a, b| off(a).total_cmp(&off(b)))?;
-            if self.fits(&flying[worst].sights, &joint, worst) {
+        while !flying.is_empty() {
+            let joint = self.joint(flying);
+            // What is most off, or without a common parabola what knows its own acceleration least.
+            let doubt = |k: &usize| match &joint {
+                Some(joint) => quantile(self.off(&flying[*k].sights, joint, *k), 0.5),
+                None => self.gravity(&flying[*k].alone).map_or(f64::INFINITY, |g| g.relative()),
+            };
+            let worst = (0..flying.len()).max_by(|a, b| doubt(a).total_cmp(&doubt(b)))?;
+            if let Some(joint) = joint.filter(|fit| self.fits(&flying[worst].sights, fit, worst)) {
                 return Some(joint);
             }
             flying.remove(worst);
         }
+        None
     }
 
     /// Whether the last object falls, if a fit with the others explains all middles: a straight path explains its
@@ -400,25 +425,25 @@ impl World<'_> {
         arc.place + arc.velocity * time + fallen * square
     }
 
-    /// The distances of an object's middles from its parabola, pixels.
+    /// The distances of an object's middles from its parabola, in standard deviations.
     fn off(&self, sights: &[Sight], fit: &Fit, object: usize) -> Vec<f64> {
         let off = |sight: &Sight| {
             let at = self.view(sight, &fit.arcs[object], &fit.acceleration);
-            self.cameras.intrinsics.project(at).distance(sight.middle.pixel)
+            let off = self.cameras.intrinsics.project(at).distance(sight.middle.pixel);
+            off / self.deviation(sight)
         };
         sights.iter().map(off).collect()
     }
 
     /// The cost of an object's middles, without that of its depths.
     fn cost(&self, sights: &[Sight], fit: &Fit, object: usize) -> f64 {
-        let off = self.off(sights, fit, object).into_iter().zip(sights);
-        off.map(|(off, sight)| (off / self.deviation(sight)).powi(2).ln_1p()).sum()
+        self.off(sights, fit, object).into_iter().map(|off| (off * off).ln_1p()).sum()
     }
 
     /// Whether the parabola explains an object's middles.
     fn fits(&self, sights: &[Sight], fit: &Fit, object: usize) -> bool {
         let off = self.off(sights, fit, object);
-        quantile(off.clone(), 0.5) < FITS.0 * self.size && quantile(off, 0.9) < FITS.1 * self.size
+        quantile(off.clone(), 0.5) < FITS.0 && quantile(off, 0.9) < FITS.1
     }
 
     /// An object's flight; `None` if its distance is not known well enough.
@@ -578,6 +603,17 @@ mod tests {
         let thrown_alone = found[0].as_ref().unwrap();
         assert!(error(thrown_alone, &cameras, thrown) < 0.1);
         assert!(found[1].as_ref().is_none_or(|f| error(f, &cameras, sinks) < 0.3));
+        // However well it knows its own acceleration, it does not keep the others from flying.
+        let mut paths =
+            [thrown as fn(f64) -> DVec3, other, sinks].map(|at| path(&cameras, 0.0, at));
+        for middle in &mut paths[2].middles {
+            let at = cameras.poses[middle.frame].apply(sinks(middle.frame as f64));
+            middle.pixel = cameras.intrinsics.project(at);
+        }
+        let found = flights(&paths, &cameras);
+        for (flight, at) in found.iter().zip([thrown as fn(f64) -> DVec3, other]) {
+            assert!(error(flight.as_ref().unwrap(), &cameras, at) < 0.1);
+        }
         assert!(flights(&[], &cameras).is_empty());
     }
 

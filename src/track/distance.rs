@@ -29,7 +29,7 @@ use super::objects::Object;
 use super::outline::{Outline, Outlines};
 use super::path::{Estimate, Pull, bent};
 use super::quantile;
-use super::shape::Shape;
+use super::shape::{OFF_CENTRE, Shape};
 use super::smooth::{self, Place};
 use crate::types::Intrinsics;
 
@@ -210,6 +210,7 @@ impl Observed {
             .map(|(owners, behind)| lower_end(index, owners, *behind, width))
             .collect();
         let contacts = contacts(object, shape, &lower_ends, &middles);
+        let centred = shape.off_centre < OFF_CENTRE.0;
         let seen = |k: usize| {
             let pose = shape.frames[k].view_from_object;
             let turned = pose.map_or(DMat3::ZERO, |pose| DMat3::from_quat(pose.rotation));
@@ -221,7 +222,12 @@ impl Observed {
             };
             let off_centre = turned * (radius * shape.off_centre);
             let structured = pose.is_some();
-            Seen { depth: depths[k], middle: middles[k], structured, known, radius, off_centre }
+            let (depth, middle) = (depths[k], middles[k]);
+            let centre = match centred {
+                true => known.map(|_| Centre { pixel: middle, structured }),
+                false => outlines[k].map(|o| Centre { pixel: o.middle, structured: false }),
+            };
+            Seen { depth, middle, centre, structured, known, radius, off_centre }
         };
         let seen: Vec<Seen> = (0..depths.len()).map(seen).collect();
         let hidden =
@@ -230,16 +236,16 @@ impl Observed {
         Observed { first: object.first, seen, steps, lower_ends, contacts, hidden }
     }
 
-    /// The path, with the middles in the frames in which they are known.
+    /// The path of the object's centre, in the frames in which it is known.
     pub fn path(&self) -> ballistic::Path {
-        let known = (0..self.seen.len()).filter(|k| self.seen[*k].known.is_some());
         let mut before = None;
+        let known =
+            self.seen.iter().enumerate().filter_map(|(k, seen)| Some((k, seen, seen.centre?)));
         let middles = known
-            .map(|k| {
-                let Seen { depth, middle, structured, .. } = self.seen[k];
+            .map(|(k, &Seen { depth, .. }, Centre { pixel, structured })| {
                 let since = before.replace(k).unwrap_or(k);
                 let drift = self.steps[since..k].iter().map(|step| step * step).sum::<f64>().sqrt();
-                Middle { frame: self.first + k, pixel: middle, structured, depth, drift }
+                Middle { frame: self.first + k, pixel, structured, depth, drift }
             })
             .collect();
         ballistic::Path { frames: self.first..self.first + self.seen.len(), middles }
@@ -358,11 +364,22 @@ fn middles(shape: &Shape, outlines: &[Option<Outline>]) -> Vec<DVec2> {
     (0..n).map(place).collect()
 }
 
+/// The image of an object's centre: its middle, if that is the centre; otherwise the middle of its outline, which is
+/// nearer to it than the middle of the points that are seen, and does not move as these change.
+#[derive(Clone, Copy)]
+struct Centre {
+    pixel: DVec2,
+    /// Whether it follows from the object's structure.
+    structured: bool,
+}
+
 /// The state of an object in one frame, up to scale.
 struct Seen {
     /// Logarithm of the object's depth.
     depth: f64,
     middle: DVec2,
+    /// Its centre, if it is known.
+    centre: Option<Centre>,
     /// Whether structure from motion holds in the frame.
     structured: bool,
     /// Standard deviation of the depth as a logarithm, in frames where the middle is known.
@@ -491,6 +508,7 @@ mod tests {
             known: Some(ALONG.0),
             radius: 0.1,
             off_centre: DMat3::ZERO,
+            centre: None,
         };
         let observed = Observed {
             first: 2,
@@ -552,6 +570,7 @@ mod tests {
                     known: (!part).then_some(ALONG.0),
                     radius: 0.2 * unit,
                     off_centre: DMat3::ZERO,
+                    centre: None,
                 }
             })
             .collect();
